@@ -1,7 +1,7 @@
 """``tissue run``."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
@@ -270,34 +270,33 @@ def run(
     folder = files.out or Path("runs") / loaded.name
     RunFolder.check(folder, overwrite=engine.overwrite)
     started = perf_counter()
-    with _naming_stop(folder):
-        # In a live run, a progress bar would delay the ticks, which need the interpreter.
-        with nullcontext(silent) if live.live else progress() as report:
-            report("starting Warp", 0.0)
-            from tissue.objects.simulate import simulate, simulate_live
+    # In a live run, a progress bar would delay the ticks, which need the interpreter.
+    with nullcontext(silent) if live.live else progress() as report:
+        report("starting Warp", 0.0)
+        from tissue.objects.simulate import simulate, simulate_live
 
-            options = {"out": folder, "progress": report, **asdict(engine)}
-            if how is None:
-                finished = simulate(loaded, **options)
-            else:
-                console.print(f"live: {how.mover(loaded)[1]}; Ctrl-C ends it")
-                finished = simulate_live(loaded, how, **options)
-        simulated = perf_counter()
+        options = {"out": folder, "progress": report, **asdict(engine)}
+        if how is None:
+            finished = simulate(loaded, **options)
+        else:
+            console.print(f"live: {how.mover(loaded)[1]}; Ctrl-C ends it")
+            finished = simulate_live(loaded, how, **options)
+    simulated = perf_counter()
+    with progress() as report:
+        finished.save(folder, formats=files.format_, pictures=drawn, progress=report)
+    if band.band is not None:
         with progress() as report:
-            finished.save(folder, formats=files.format_, pictures=drawn, progress=report)
-        if band.band is not None:
-            with progress() as report:
-                finished.band(
-                    band.band,
-                    seed=seed,
-                    workers=band.workers,
-                    scheduler=band.scheduler,
-                    each_run=band.each_run,
-                    compute=engine.compute,
-                    cores=engine.cores,
-                    pictures=drawn,
-                    progress=report,
-                )
+            finished.band(
+                band.band,
+                seed=seed,
+                workers=band.workers,
+                scheduler=band.scheduler,
+                each_run=band.each_run,
+                compute=engine.compute,
+                cores=engine.cores,
+                pictures=drawn,
+                progress=report,
+            )
     print_summary(
         finished.summary,
         folder,
@@ -388,24 +387,3 @@ def _check_band(scene: "Scene", options: BandOptions, *, live: bool) -> None:
     from tissue.fitting.bands.band import require_band
 
     require_band(scene, options.band, options.workers, options.scheduler, each_run=options.each_run)
-
-
-@contextmanager
-def _naming_stop(folder: Path) -> Iterator[None]:
-    """Add to Ctrl-C or SIGTERM a note that nothing was written, if the folder is unchanged."""
-    before = _written(folder)
-    try:
-        yield
-    except KeyboardInterrupt as stopped:
-        if _written(folder) == before:
-            stopped.args = ("stopped before anything was written",)
-        raise
-
-
-def _written(folder: Path) -> tuple[int, int] | None:
-    """Return the identity of the summary file in a folder; None if there is no summary."""
-    try:
-        found = (folder / "summary.json").stat()
-    except OSError:
-        return None
-    return found.st_mtime_ns, found.st_ino
