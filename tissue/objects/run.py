@@ -206,8 +206,7 @@ class Run(engine.Run):
         Returns
         -------
         In a notebook, an interactive view. In a script with a display, None, after the
-        window was closed. Otherwise a still picture, which a notebook shows; ``array`` contains its
-        pixels.
+        window was closed. Otherwise a picture of Pillow, which a notebook shows.
 
         Raises
         ------

@@ -3,22 +3,19 @@
 import warnings
 from contextlib import suppress
 from importlib import import_module
-from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
-from meshes.base.arrays import Bytes
 from meshes.base.errors import InputError
 from meshes.base.extras import install_command
-from meshes.base.whole_file import whole_file
 from tissue.simulation.bone_surface import HALF
 from tissue.system.offscreen import display_problem
 from tissue.system.progress import in_notebook
 
-__all__ = ["Picture", "show_folder", "with_empty_hidden"]
+__all__ = ["show_folder", "with_empty_hidden"]
 
 
 BACKENDS = ("trame_pyvista", "pyvista.trame.jupyter")
@@ -36,45 +33,6 @@ def is_interactive() -> bool:
             import_module(name)
             return True
     return False
-
-
-WIDE_PX = 800
-"""Largest width of a picture in a notebook [pixels]."""
-
-
-class Picture:
-    """Still picture, which a notebook shows.
-
-    ``array`` contains the pixels, and `save` writes the picture to a file.
-
-    Parameters
-    ----------
-    png
-        Contents of a PNG file.
-    """
-
-    def __init__(self, png: bytes) -> None:
-        self._png = png
-
-    @property
-    def array(self) -> Bytes:
-        """Red, green and blue of the pixels, 0 to 255, shape (height, width, 3)."""
-        from matplotlib.image import imread
-
-        return np.rint(255.0 * imread(BytesIO(self._png), format="png")[..., :3]).astype(np.uint8)
-
-    def save(self, path: str | Path) -> Path:
-        """Write a PNG file; an existing file is replaced."""
-        with whole_file(Path(path)) as temporary:
-            temporary.write_bytes(self._png)
-        return Path(path)
-
-    def __repr__(self) -> str:
-        height, width, _ = self.array.shape
-        return f"<picture of {width} x {height} pixels>"
-
-    def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
-        return self._png, {"width": min(self.array.shape[1], WIDE_PX)}
 
 
 GHOSTS = "vtkGhostType"
@@ -104,6 +62,8 @@ def show_folder(
 
     See `tissue.objects.run.Run.show`.
     """
+    from PIL import Image
+
     from tissue.show.viewer.run_scene import Choice
     from tissue.show.viewer.view import view
 
@@ -131,7 +91,8 @@ def show_folder(
         file = screenshot or Path(place) / "shown.png"
         # `view` draws in a separate process, which also checks whether this machine can draw.
         view(folder, Choice(**chosen), screenshot=file, overwrite=True)
-        still = Picture(file.read_bytes())
+        with Image.open(file) as picture:
+            still = picture.copy()
     return _turned(folder, chosen) if interactive else still
 
 

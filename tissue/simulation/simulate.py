@@ -21,7 +21,8 @@ from tissue.models.tissue_model import TICK_S, MayLag
 from tissue.motion.motion import LONGEST_S, Events, Motion
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
-from tissue.simulation.builders.arguments import note_own_constants
+from tissue.scene.used_constants import used_constants
+from tissue.simulation.builders.arguments import given_note
 from tissue.simulation.builders.parts import Parts, TissueBuilder, motion_of, require_stated_rate
 from tissue.simulation.findings import (
     BreakThrough,
@@ -379,7 +380,9 @@ def build(
     )
     parts.notes |= notes
     if scene.materials:
-        note_own_constants(scene, parts.tissue.layer_names, parts.notes)
+        layers = parts.tissue.layer_names
+        used = used_constants(scene, layers)
+        parts.notes |= given_note(scene.constants, used, layers=layers, by="scene")
     return parts
 
 
