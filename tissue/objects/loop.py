@@ -27,8 +27,7 @@ from tissue.models.tissue_model import TICK_S, HasVoxels, TissueModel
 from tissue.models.tooth.model import ToothModel
 from tissue.motion.motion import Events, StaysAt
 from tissue.objects.bone import Bone
-from tissue.objects.cut import saved_table
-from tissue.objects.cutting import Structures, clearance_of, warn_of
+from tissue.objects.cutting import Structures, clearance_of, saved_table, warn_of
 from tissue.objects.loop_settings import (
     LONGEST_S,
     JudgedDevice,

@@ -27,7 +27,7 @@ from tissue.scene.part import is_given
 from tissue.scene.registry import CUTTERS
 from tissue.scene.scene import Cutting, Scene
 from tissue.scene.tool import PathMotion, ReplayMotion, Tool
-from tissue.simulation.builders.keep_clear import keep_clear
+from tissue.simulation.builders.keep_clear import keep_clear, region_end
 from tissue.simulation.builders.parts import (
     Parts,
     far_note,
@@ -35,7 +35,6 @@ from tissue.simulation.builders.parts import (
     require_outside,
     require_touch,
 )
-from tissue.simulation.builders.region_end import region_end
 from tissue.simulation.builders.voxels import volume_of
 
 if TYPE_CHECKING:
