@@ -21,10 +21,10 @@ from tissue.perception.observer import (
     read_observer,
     reference_observer,
 )
-from tissue.perception.perceived import held_back
+from tissue.perception.perceived import PerceivedForce, held_back
 from tissue.scene.load import load_scene
 from tissue.show.figures.figure import figure, save
-from tissue.simulation.builders.prediction import CAUTION, perception_for
+from tissue.simulation.builders.prediction import CAUTION, perception
 from tissue.simulation.simulate import simulate
 from tissue.system.owned_folder import OwnedFolder
 
@@ -111,7 +111,9 @@ def _command(someone: Observer, path: Path) -> None:
     right.plot(forces, forces**1.7, "--", color=WANTED, label="wanted: reference, physical force")
     for who, colour in ((population_observer(), POPULATION), (someone, PERSON)):
         rng = np.random.default_rng(0)
-        law = perception_for(who, rng=rng, force_limit_N=limit_N, tick_s=1e-3).law
+        made = perception(who, rng=rng, force_limit_N=limit_N, tick_s=1e-3)
+        assert isinstance(made, PerceivedForce)
+        law = made.law
         commands = law.command_N(forces)
         played = np.array([device.play(np.array([force, 0.0, 0.0]))[0][0] for force in commands])
         left.plot(forces, played, color=colour, label=f"{who.name}, gain {law.gain:.2f}")
