@@ -19,6 +19,7 @@ from tissue.cli.terminal import (
     Texts,
     console,
     left_out,
+    print_table,
 )
 from tissue.system.progress import progress
 
@@ -32,36 +33,26 @@ __all__ = ["print_summary", "run"]
 
 def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: float) -> None:
     """Print the summary of a run as a table."""
-    from rich.table import Table
-
     from tissue.show.report.page import band_lines, run_rows
 
-    table = Table(
-        title=f"{summary['scene']}: {summary['simulated_s']:g} s simulated in {wall_s:.1f} s"
-    )
-    table.add_column("quantity")
-    table.add_column("value", justify="right")
-    for quantity, value in run_rows(summary):
-        table.add_row(quantity, value)
+    rows = run_rows(summary)
     band = summary.get("band")
     for name, key, unit in (("force", "force_N", "N"), ("torque", "torque_Nm", "N m")):
         # If the tool touches nothing, there is no band.
         if band is not None and band[key]["peak"]["p95"] > 0.0:
-            table.add_row(f"{name}, 90 % of {band['samples']} samples", _ends(band[key], unit))
+            rows.append((f"{name}, 90 % of {band['samples']} samples", _ends(band[key], unit)))
     if heat := summary.get("bone_heat"):
         rises = f"{heat['largest_rise_K']:.1f} / {heat['rise_at_half_mm_K']:.2f} K"
-        table.add_row("rise of the remaining bone, largest / 0.5 mm from the cut", rises)
-    for quantity, value in _scheduling_rows(summary):
-        table.add_row(quantity, value)
+        rows.append(("rise of the remaining bone, largest / 0.5 mm from the cut", rises))
+    rows += _scheduling_rows(summary)
     if "late_us" in summary:
         late = summary["late_us"]
-        table.add_row(
-            "delay of ticks, median / 99 % / max",
-            f"{late['median']:.0f} / {late['p99']:.0f} / {late['max']:.0f} µs",
-        )
-        table.add_row("wall clock skipped", f"{summary['skipped_ms']:.1f} ms")
-    table.add_row("writing files and pictures", f"{saving_s:.1f} s")
-    console.print(table)
+        times = f"{late['median']:.0f} / {late['p99']:.0f} / {late['max']:.0f} µs"
+        rows.append(("delay of ticks, median / 99 % / max", times))
+        rows.append(("wall clock skipped", f"{summary['skipped_ms']:.1f} ms"))
+    rows.append(("writing files and pictures", f"{saving_s:.1f} s"))
+    done = f"{summary['scene']}: {summary['simulated_s']:g} s simulated in {wall_s:.1f} s"
+    print_table(("quantity", "value"), rows, caption=done)
     for event in summary["events"]:
         console.print(f"at {event['time_s']:.3f} s: {event['what']}")
     for name, note in summary["notes"].items():
