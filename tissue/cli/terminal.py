@@ -15,6 +15,7 @@ __all__ = [
     "Formats",
     "MaybeWhole",
     "MemoryGB",
+    "Numbers",
     "Overrides",
     "Texts",
     "Whole",
@@ -60,6 +61,8 @@ Whole = Annotated[int, Parameter(converter=whole)]
 MaybeWhole = Annotated[int | None, Parameter(converter=whole)]
 ADDRESS = {"hardware.address": "--address"}
 """Option of a command, keyed by the scene key that the option replaces in messages."""
+Numbers = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
+"""Numbers separated by commas; the first number may be negative."""
 MemoryGB = Annotated[float | None, Parameter(name="--max-memory-GB")]
 
 
