@@ -67,14 +67,6 @@ def stated(model: type[Table], values: Mapping[str, object], *, prefix: str = ""
         If a value is out of range, or a key is unknown.
     """
     given = {name: value for name, value in values.items() if value is not None}
-    for name in given:
-        if not isinstance(name, str):
-            raise InputError(
-                f"each name in {prefix.rstrip('.') or 'a mapping of arguments'}",
-                "be text",
-                repr(name),
-                f"use for example {next(iter(model.model_fields))!r}",
-            )
     try:
         return model.model_validate(given)
     except ValidationError as error:
