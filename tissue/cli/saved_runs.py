@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from meshes.base.progress import silent
-from tissue.cli.terminal import Flag, Formats, Texts, console, left_out
+from tissue.cli.terminal import Flag, Formats, Texts, console, left_out, print_table
 from tissue.system.progress import progress
 
 __all__ = ["assess", "compare", "report", "view"]
@@ -105,8 +105,6 @@ def compare(
     overwrite
         Replace the comparison that the folder already holds.
     """
-    from rich.table import Table
-
     from tissue.objects.comparison import FILES, KIND, split_formats
     from tissue.objects.comparison import compare as compared
     from tissue.system.owned_folder import require_folder
@@ -124,13 +122,8 @@ def compare(
         require_folder(out, KIND, FILES, overwrite=overwrite)
     found = compared(*folders)
     titles, rows = found.texts()
-    table = Table(titles[0])
-    for title in titles[1:]:
-        table.add_column(title, justify="right", overflow="fold")
-    for row in rows:
-        table.add_row(*row)
     if rows:
-        console.print(table)
+        print_table(titles, rows)
     console.print(*found.lines(), sep="\n")
     if out is not None:
         written = found.save(out, over=over, formats=format_, overwrite=overwrite)

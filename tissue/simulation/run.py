@@ -207,13 +207,11 @@ class Run:
         from tissue.simulation.builders.cutting import cutter_of
 
         tool = self.scene.tool
-        made = cutter_of(tool) if self._saved is not None and isinstance(tool, Tool) else None
-        found = self.parts.cutter if self._saved is None else made
-        if found is None:
+        if not isinstance(tool, Tool):
             raise InputError(
                 "run", "have a cutter", f"a {tool.kind}", "use the trace and the fields of this run"
             )
-        return found
+        return cutter_of(tool)
 
     def replay(self) -> "CarvingReplay":
         """Return a replay of the carving, which gives the bone at any tick.

@@ -1,4 +1,4 @@
-"""Build the measurement of a tool's distance from structures that it must not touch."""
+"""Build the measurements of distances to structures, and of the end of the simulated region."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -15,15 +15,18 @@ from meshes.shapes.sdf import Shape, shape_triangles
 from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.cutters.body import body_points
 from tissue.cutters.cutter import Cutter
+from tissue.models.bone.region_end import RegionEnd
 from tissue.models.keep_clear import APART_M, OVERLAP_M, Distance, KeepClear, Structure
+from tissue.models.tissue_model import StopsReporting
 from tissue.motion.motion import Motion
-from tissue.scene.anatomy import CutAnatomy, MolarSurfaces
+from tissue.scene.anatomy import BlockImage, CutAnatomy, MolarSurfaces
 from tissue.scene.scene import KeepClear as Wanted
+from tissue.scene.scene import Scene
 from tissue.simulation.builders.arguments import surface_of
-from tissue.simulation.builders.parts import swept_box
-from tissue.simulation.builders.voxels import structures
+from tissue.simulation.builders.parts import Parts, swept_box
+from tissue.simulation.builders.voxels import is_procedural, solid_of, structures
 
-__all__ = ["keep_clear"]
+__all__ = ["keep_clear", "region_end"]
 
 MARGIN_M = 10e-3
 """Margin around the scripted motion, because a hand may leave the path [m]; assumed."""
@@ -104,4 +107,29 @@ def _unknown_structure(name: str, anatomy: CutAnatomy, shapes: Mapping[str, Shap
         f"be structures of the anatomy ({', '.join(known) or 'none'})",
         shown(name),
         remedy,
+    )
+
+
+def region_end(scene: Scene, parts: Parts) -> RegionEnd | None:
+    """Return an object that reports when the tool leaves the simulated region.
+
+    The result is None if the tool cannot leave this region.
+    """
+    whole = isinstance(scene.anatomy, BlockImage) and scene.anatomy.is_whole
+    # The region contains all of a scripted motion, and all of an image that is not cut out.
+    if scene.device is None or whole:
+        return None
+    assert parts.volume is not None
+    assert parts.cutter is not None
+    tissue = None
+    if is_procedural(scene.bone):
+        anatomy, hole = solid_of(scene, parts.motion)
+        tissue = anatomy.shape if hole is None else anatomy.shape - hole
+    reporters = (parts.tissue, parts.keep_clear)
+    return RegionEnd(
+        parts.volume,
+        parts.cutter,
+        margin_mm=scene.voxels.margin_mm,
+        tissue=tissue,
+        reporters=tuple(each for each in reporters if isinstance(each, StopsReporting)),
     )
