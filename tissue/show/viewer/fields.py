@@ -23,7 +23,7 @@ from tissue.simulation.saved_fields import SavedFields, field_values
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["REFERENCE", "BoneShown", "FieldsShown", "interpolated", "layer_look"]
+__all__ = ["BoneShown", "FieldsShown", "layer_look"]
 
 TETRAHEDRON = 10
 """VTK's number of the cell type."""
@@ -33,6 +33,8 @@ DIFFUSE = 0.25
 
 The shade shows the shape, but the colours still agree with the scale.
 """
+INWARD = 1e-4
+"""Share of the distance to the middle of a cell by which a boundary point is moved inside."""
 REFERENCE = "reference_mm"
 SHOWN = "shown"
 """Names of arrays that are used only to draw and to read values."""
@@ -107,11 +109,6 @@ class FieldsShown:
         self._title = ""
         self._last: tuple[object, ...] | None = None
 
-    @property
-    def bounds_mm(self) -> tuple[float, ...]:
-        """Box around the mesh in the first frame: lowest and highest x, y and z [mm]."""
-        return tuple(self._fields.frames[0].bounds)
-
     def show(self, name: str | None) -> None:
         """Show a field; hide the fields if the name is None."""
         self.name = name
@@ -137,28 +134,26 @@ class FieldsShown:
         self._hidden = hidden
         self._draw()
 
+    def reference_of(self, place_mm: Array) -> Array:
+        """Return the undeformed position of a point on the drawn mesh [mm], shape (3,)."""
+        assert self.actor is not None
+        found = _sampled(self.actor.mapper.dataset, place_mm)
+        return np.array(found[REFERENCE][0], dtype=np.float64)
+
     def read(self, reference_mm: Array) -> PointValues | None:
         """Return the field values at a material point, or None if its cell was removed.
 
         `reference_mm` is the position of the point in the undeformed mesh.
         """
         mesh, _ = self._fields.at(self._time_s)
-        if not mesh.n_cells:
+        # the nearest other cell is a thousandth of the size of the mesh or more away
+        if not mesh.n_cells or _nearest(mesh, reference_mm)[1] > 1e-3 * self._fields.size_mm:
             return None
-        found: Any = mesh.find_closest_cell(reference_mm, return_closest_point=True)
-        cell, closest = found
-        # the cell was removed: the nearest one left is a thousandth of the mesh's size or more away
-        if np.linalg.norm(closest - reference_mm) > 1e-3 * self._fields.size_mm:
-            return None
-        layers = self._fields.layer_names
-        values: dict[str, Array] = {}
-        for name in self._fields.names:
-            if name in mesh.cell_data:
-                values[name] = np.asarray(mesh.cell_data[name][cell])
-            elif name in mesh.point_data:
-                values[name] = interpolated(mesh, cell, closest, name)
+        found = _sampled(mesh, reference_mm)
+        values = {name: np.array(found[name][0]) for name in self._fields.names if name in found}
         moved = self._fields.unit_mm * values.get(self._fields.displacement or "", np.zeros(3))
-        layer = layers[int(mesh.cell_data["layer"][cell])] if layers else ""
+        layers = self._fields.layer_names
+        layer = layers[int(found["layer"][0])] if layers else ""
         return PointValues(reference_mm + self.scale * moved, values, layer)
 
     def _draw(self) -> None:
@@ -241,16 +236,20 @@ class FieldsShown:
         add_colour_scale(self._plotter, self._title, self.actor.mapper, bottom=0.42, fmt="%.2g")
 
 
-def interpolated(mesh: "pyvista.DataSet", cell: int, place_mm: Array, name: str) -> Array:
-    """Interpolate a point array in one cell of a mesh with the shape functions of the cell."""
-    from vtkmodules.vtkCommonCore import reference
+def _nearest(mesh: "pyvista.DataSet", place_mm: Array) -> tuple[Array, float]:
+    """Return the position nearest to a point in a mesh, inside a cell, and its distance [mm]."""
+    found: Any = mesh.find_closest_cell(place_mm, return_closest_point=True)
+    cell, closest = found
+    # because of rounding, a point on the boundary itself may count as outside
+    inside = closest + INWARD * (np.array(mesh.get_cell(cell).center) - closest)
+    return inside, float(np.linalg.norm(closest - place_mm))
 
-    one = mesh.GetCell(cell)
-    nodes = [one.GetPointId(i) for i in range(one.GetNumberOfPoints())]
-    shares = [0.0] * len(nodes)
-    unused = [0.0] * 3
-    one.EvaluatePosition(place_mm.tolist(), unused, reference(0), unused, reference(0.0), shares)
-    return np.asarray(np.array(shares) @ np.asarray(mesh.point_data[name], dtype=np.float64)[nodes])
+
+def _sampled(mesh: "pyvista.DataSet", place_mm: Array) -> "pyvista.DataSetAttributes":
+    """Return the arrays of a mesh, interpolated at the position nearest to a point [mm]."""
+    import pyvista
+
+    return pyvista.PolyData(_nearest(mesh, place_mm)[0]).sample(mesh).point_data
 
 
 DEPTH = "removed_depth_mm"
