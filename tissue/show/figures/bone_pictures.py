@@ -26,7 +26,7 @@ from tissue.show.figures.figure import (
 )
 from tissue.show.figures.rendering import Camera, Shaded, draw_axes, draw_shaded, paint
 from tissue.show.figures.section import plane_of
-from tissue.show.figures.tool_mesh import pose, spin_arc_mm, tool_turns
+from tissue.show.figures.tool_mesh import pose, spin_arc_mm
 from tissue.simulation.bone_surface import (
     HALF,
     DepthMap,
@@ -199,7 +199,7 @@ def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
     tool = run.scene.tool
     assert isinstance(tool, Tool)
     row = int((run.trace["contact_mm2"] > 0.0).argmax())
-    matrix = pose(run.trace.vectors("tool", "mm")[row], tool_turns(run.trace)[row])
+    matrix = pose(run.trace.vectors("tool", "mm")[row], run.trace.quaternions()[row])
     share = min(1.0, WIDEST_ARC * camera.height_mm / tool.diameter_mm)
     axes.set_autoscale_on(False)
     arc = camera.pixels(share * spin_arc_mm(tool) @ matrix[:3, :3].T + matrix[:3, 3])

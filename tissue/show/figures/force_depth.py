@@ -21,7 +21,6 @@ from tissue.show.figures.figure import (
     styled,
 )
 from tissue.show.figures.force_time import FLICKER_S, spells
-from tissue.show.figures.tool_mesh import tool_turns
 from tissue.simulation.bone_surface import HALF, facing, tool_axes
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.run import Run
@@ -117,7 +116,7 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
         sharex=True,
         height_ratios=heights,
     )
-    turns = tool_axes(tool_turns(trace)[rows])
+    turns = tool_axes(trace.quaternions()[rows])
     model = trace.vectors("model_force", "N")[rows]
     # the commanded force, which vibrates, is pale and thin, so that it does not hide the model's
     for force, alpha, width in ((trace.vectors("force", "N")[rows], 0.35, 0.8), (model, 1.0, 1.4)):

@@ -20,7 +20,6 @@ from tissue.show.figures.figure import (
     styled,
     torque_unit,
 )
-from tissue.show.figures.tool_mesh import tool_turns
 from tissue.simulation.bone_surface import tool_axes
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.run import Run
@@ -210,7 +209,7 @@ def _draw_path(axes: "Axes", run: Run) -> None:
     """Draw the tip position along the tool's axis, and shade the layer of largest contact."""
     trace = run.trace
     time = trace["time_s"]
-    turned = tool_axes(tool_turns(trace))
+    turned = tool_axes(trace.quaternions())
     axes.plot(time, (trace.vectors("tool", "mm") * turned).sum(axis=1), color="0.1")
     axes.set(ylabel="tip along\nits axis / mm", xlabel="time / s")
     colours = layer_colours(trace.layer_names)

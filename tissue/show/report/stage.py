@@ -18,7 +18,7 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
 from tissue.show.figures.figure import BONE, COMPONENTS, DEPTH_COLOURS, field_colours, layer_colours
 from tissue.show.figures.organ_surface import with_normals
-from tissue.show.figures.tool_mesh import faces_of, tool_turns, turning_tool
+from tissue.show.figures.tool_mesh import faces_of, turning_tool
 from tissue.show.report.charts import Record, packed, packed_mesh, packed_shares, packed_vectors
 from tissue.show.viewer.saved_surfaces import bone_of, cut_plane, saved_fields, tool_force
 from tissue.simulation.run_folder import SavedRun, saved_placement
@@ -133,7 +133,7 @@ def _add_tool(
     poses = {
         "rows": rows.tolist(),
         "tool": packed_vectors(tips[rows]),
-        "turns": packed_vectors(tool_turns(trace)[rows]),
+        "turns": packed_vectors(trace.quaternions()[rows]),
     }
     followers: list[tuple[str, Any, str, float, str]] = []
     if "device_x_mm" in trace and scene is not None:

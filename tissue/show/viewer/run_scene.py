@@ -9,7 +9,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.show.figures.figure import COMPONENTS, layer_colours
-from tissue.show.figures.tool_mesh import faces_of, pose, row_at, tool_turns, turning_tool
+from tissue.show.figures.tool_mesh import faces_of, pose, row_at, turning_tool
 from tissue.show.viewer.fields import BoneShown, FieldsShown
 from tissue.show.viewer.plotter import Plotter, add_text, in_words
 from tissue.show.viewer.saved_surfaces import bone_of, cut_plane, saved_fields, tool_force
@@ -62,7 +62,7 @@ class MomentShown:
         self._trace = trace
         self._tips = trace.vectors("tool", "mm")
         self._force = tool_force(trace)
-        self._turns = tool_turns(trace)
+        self._turns = trace.quaternions()
         every = slice(None, None, max(len(trace.rows) // MOST_ROWS, 1))
         path = self._tips[every]
         travel_mm = float(np.ptp(path, axis=0).max())

@@ -11,8 +11,8 @@ from meshes.base.arrays import Array, Bytes
 from meshes.base.errors import InputError
 from meshes.base.whole_file import whole_file
 from tissue.show.figures.rendering import round_length
-from tissue.show.viewer.controls import Playback, PointRead
 from tissue.show.viewer.fields import FieldsShown
+from tissue.show.viewer.playback import Playback
 from tissue.show.viewer.plotter import (
     Plotter,
     add_names,
@@ -21,7 +21,6 @@ from tissue.show.viewer.plotter import (
     aim,
     free_keys,
     new_plotter,
-    on_click,
 )
 from tissue.show.viewer.run_scene import CHART_SHARE, Choice, RunScene
 from tissue.show.viewer.saved_surfaces import cut_plane
@@ -225,7 +224,7 @@ class Window:
     ----------
     plotter
         PyVista's plotter.
-    fields, point, bone
+    fields, bone
         Parts of the window; None for a part that the run or a still picture does not have.
     playback
         Shown time.
@@ -240,7 +239,6 @@ class Window:
         shown = self._shown = RunScene(saved, choice, self.plotter, fine=off_screen)
         self.bone = shown.bone
         self.fields = shown.fields
-        self.point: PointRead | None = None
         self.playback = Playback(shown.span_s, shown.start_s)
         self.hidden: frozenset[str] = frozenset()
         self._slider: Any = None
@@ -353,7 +351,7 @@ class Window:
         self._shown.at(time_s)
 
     def _add_keys(self) -> tuple[str, str]:
-        """Add keys, point values and the factor of the displacement; return two lines of help."""
+        """Add keys and the factor of the displacement; return two lines of help."""
         plotter = self.plotter
         shown = self._shown
         first = [self.bone.help] if self.bone is not None else []
@@ -373,10 +371,7 @@ class Window:
             plotter.add_key_event("x", self.switch_plane)
             plotter.add_key_event("comma", lambda: self.push_plane(-PUSH))
             plotter.add_key_event("period", lambda: self.push_plane(PUSH))
-            second[:0] = ["x: cut open", ", and .: move the cut", "click: read a point"]
-            # 2 % of the run's size: visible, and small next to a layer
-            self.point = PointRead(plotter, self.fields, size_mm=0.02 * shown.size_mm)
-            on_click(plotter, self.point.click)
+            second[:0] = ["x: cut open", ", and .: move the cut"]
             self._add_scale(self.fields, shown.series)
         return "    ".join(filter(None, first)), "    ".join(second)
 

@@ -11,7 +11,7 @@ from vtkmodules.vtkCommonDataModel import vtkPlane
 from meshes.base.arrays import Array
 from tissue.scene.scene import Scene
 from tissue.show.figures.figure import layer_colours
-from tissue.show.figures.tool_mesh import faces_of, tool_turns, turning_tool
+from tissue.show.figures.tool_mesh import faces_of, turning_tool
 from tissue.show.viewer.fields import layer_look
 from tissue.show.viewer.plotter import Plotter, aim, new_plotter
 from tissue.show.viewer.run_scene import ToolShown
@@ -80,7 +80,7 @@ class Readings:
         plays = "device_force_x_N" in table
         return cls(
             tip_mm=table.vectors("tool", "mm")[0],
-            turn=tool_turns(table)[0],
+            turn=table.quaternions()[0],
             force_N=table.vectors("model_force", "N")[0],
             torque_Nm=table.vectors("model_torque", "Nm")[0],
             device_N=float(np.linalg.norm(table.vectors("device_force", "N")[0]))
