@@ -167,8 +167,8 @@ class ViewPage:
 
     def _rows(self) -> list[list[float]]:
         """Return time [s], force [N] and its magnitude for the rows that a page can draw."""
-        trace = self._saved.trace
-        if trace is None or not len(trace.rows):
+        trace = self.shown.trace
+        if trace is None:
             return []
         every = slice(None, None, max(len(trace.rows) // MOST_ROWS, 1))
         force = tool_force(trace)[every]
@@ -183,8 +183,8 @@ class ViewPage:
             "playing": self._playback.playing,
             "chosen": self.chosen,
         }
-        trace = self._saved.trace
-        if self.shown.moment is not None and trace is not None:
+        trace = self.shown.trace
+        if trace is not None:
             row = row_at(trace, self.time_s)
             kind = "model_torque" if "model_torque_x_Nm" in trace else "torque"
             cuts = "removed_mm3" in trace and trace["removed_mm3"][-1] > 0.0
