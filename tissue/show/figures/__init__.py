@@ -20,7 +20,7 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
 
     ``force_torque`` is drawn for every run. The other pictures depend on the run:
 
-    - ``bone_before_after`` and ``removed_depth`` for a tissue of voxels,
+    - ``bone_before_after`` for a tissue of voxels,
     - ``section`` and ``force_depth`` for a rotating tool in voxels of several layers, if the
       tissue, such as a tooth, adds its own values to the trace,
     - ``section`` also for a scene with structures to keep clear of,
@@ -34,7 +34,7 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
     """
     import matplotlib.figure  # noqa: F401  here, for two threads must not import modules that import each other
 
-    from tissue.show.figures.bone_pictures import draw_before_after, draw_removed_depth
+    from tissue.show.figures.bone_pictures import draw_before_after
     from tissue.show.figures.force_depth import draw_force_depth, draw_insertion, draw_wall
     from tissue.show.figures.force_time import draw_force_torque, draw_played
     from tissue.show.figures.organ_pictures import draw_held, draw_press
@@ -54,7 +54,6 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
     with _background() as pool:
         if depth is not None:
             shaded = pool.submit(draw_before_after, run, depth, path("bone_before_after"))
-            draw_removed_depth(run, depth, path("removed_depth"))
             has_measures = len(parts.tissue.layer_names) > 1 and parts.tissue.measure_names
             # a tool that does not rotate removes nothing, so its section would show nothing new
             is_drilled = bool(has_measures) and run.cutter.spin_rad_s != 0.0
