@@ -249,27 +249,15 @@ class BoneShown:
         self.help = "c: removed depth or layer" if self.is_cut else ""
         if self.is_cut:
             plotter.add_key_event("c", self.change)
-        self._parts: dict[str, pyvista.PolyData] = {}
-        self._take()
-        self.points_mm = np.vstack([np.asarray(part.points) for part in self._parts.values()])
+        parts = bone.cut(bone.layers), bone.rest(bone.layers)
+        self.points_mm = np.vstack([np.asarray(part.points) for part in parts])
         self._draw()
 
     def at(self, tick: int) -> None:
         """Show the bone as it is at the end of a tick."""
+        # the bone beyond the cut is the same at all ticks
         if self._bone.at(tick):
-            # the bone beyond the cut is the same at all ticks
-            self._take(rest=False)
-            if self._visible:
-                self._draw_part("bone")
-
-    def _take(self, *, rest: bool = True) -> None:
-        """Update the surfaces of the shown layers; if requested, also the surface that no cut
-        changes.
-        """
-        shown = [index for name, index in self._index.items() if name not in self._hidden]
-        self._parts["bone"] = self._bone.cut(shown)
-        if rest:
-            self._parts["bone beyond the cut"] = self._bone.rest(shown)
+            self._draw_part("bone")
 
     def change(self) -> None:
         """Switch between colours for removed depth and for layers."""
@@ -281,7 +269,6 @@ class BoneShown:
         """Hide some layers, and colour the bone by layer."""
         self._hidden = hidden
         self.by_depth = False
-        self._take()
         self._draw()
 
     def show(self, visible: bool) -> None:
@@ -295,7 +282,7 @@ class BoneShown:
         plotter.remove_legend(render=False)
         if DEPTH_TITLE in plotter.scalar_bars:
             plotter.remove_scalar_bar(DEPTH_TITLE, render=False)
-        actors = [self._draw_part(name) for name in self._parts]
+        actors = [self._draw_part(name) for name in ("bone", "bone beyond the cut")]
         shown = [actor for actor in actors if actor is not None]
         if self.by_depth and shown:
             # above the chart and the sliders; the legend takes its place if layers are shown
@@ -320,8 +307,11 @@ class BoneShown:
     def _draw_part(self, name: str) -> "pyvista.Actor | None":
         """Draw one of the surfaces again; return its actor, or None if the surface is empty."""
         self._plotter.remove_actor(name, reset_camera=False, render=False)
-        part = self._parts[name].copy(deep=False)
-        if not self._visible or not part.n_cells:
+        if not self._visible:
+            return None
+        shown = [index for each, index in self._index.items() if each not in self._hidden]
+        part = self._bone.cut(shown) if name == "bone" else self._bone.rest(shown)
+        if not part.n_cells:
             return None
         look = layer_look(self._names)
         if self.by_depth:
