@@ -114,7 +114,8 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
 
         present = np.unique(volume.layer[volume.fraction >= HALF])
         kinds = {"not cut": BONE}
-        if is_end.any():
+        facing = triangle_means(after.point_data["Normals"], after.regular_faces)
+        if (facing[is_end] @ shaded.cameras[0].towards_eye > 0.0).any():
             kinds["edge of the\nsimulated region"] = CUT_OUT
         named = {volume.layer_names[index]: tuple(ends[index]) for index in present}, kinds
         chart = shaded.chart

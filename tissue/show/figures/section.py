@@ -202,7 +202,7 @@ def draw_section(run: Run, path: Path) -> None:
     structures = draw_kept_clear(panels[0], run, window, section)
     panels[0].set_ylabel(f"{y} / mm")
     panels[0].set_title("layers and removed tissue")
-    handles = _handles(run, section, borders=frame is not None)
+    handles = _handles(run, section)
     chart.legend(handles=[*handles, *structures], loc="outside lower center", ncols=4)
     if series is not None and frame is not None:
         drawn = _draw_stress(panels[1], series, frame, section)
@@ -259,9 +259,7 @@ def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
 
 
 def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Section) -> "AxesImage":
-    """Draw the von Mises stress of the remaining tissue on a logarithmic scale, and the edges of
-    the layers.
-    """
+    """Draw the von Mises stress of the remaining tissue on a logarithmic scale."""
     from matplotlib.colors import LogNorm
 
     stress = _section_stress(series, frame, section)
@@ -272,9 +270,6 @@ def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Secti
     # a logarithmic scale needs a range above zero, even without stress
     peak = max(float(peak), 1e-9)
     scale = LogNorm(float(np.clip(low, peak * 10.0**-DECADES, 0.1 * peak)), peak)
-    for index in np.unique(section.layer[there]):
-        left = there & (section.layer == index)
-        draw_outline(axes, left, section.extent_mm, color="0.55", linewidth=0.7)
     # a logarithm needs positive values; the scale begins far above 1e-12 MPa
     picture = np.ma.masked_where(~there, np.maximum(stress, 1e-12))
     return axes.imshow(
@@ -312,7 +307,7 @@ def _section_stress(series: FieldSeries, frame: Frame, section: Section) -> Arra
     return np.asarray(values[there[cKDTree(known).query(places)[1]]])
 
 
-def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
+def _handles(run: Run, section: Section) -> "list[Artist]":
     """Return legend entries for the layers and the marks of the section."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -321,7 +316,7 @@ def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
     seen = np.unique(section.layer[section.start >= HALF / FULL])
     removed = np.unique(section.layer[_removed(section) >= HALF / FULL])
     colours = layer_colours(names)
-    handles: list[Artist] = [
+    return [
         *(Patch(facecolor=colours[names[i]], label=names[i], **EDGE) for i in seen),
         *(
             Patch(
@@ -335,10 +330,6 @@ def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
         Line2D([], [], label="tool", **TOOL),
         Line2D([], [], color=PATH, linewidth=1.0, label="path of its tip (projected)"),
     ]
-    if borders:
-        label = "edges of the layers that are left"
-        handles.append(Line2D([], [], color="0.55", linewidth=0.7, label=label))
-    return handles
 
 
 STRUCTURES = ("#D55E00", "#0072B2", "#009E73", "#000000")

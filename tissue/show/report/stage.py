@@ -153,7 +153,7 @@ def _still(surface: "pyvista.PolyData") -> Record:
     The two sides of an edge have separate points.
     """
     surface = with_normals(surface.triangulate())
-    mesh, _ = packed_mesh(surface.points, surface.regular_faces)
+    mesh = packed_mesh(surface.points, surface.regular_faces)
     return {"times": [0.0], "meshes": [mesh], "frames": [{"mesh": 0}], "smooth": True}
 
 
@@ -183,14 +183,13 @@ def _add_bone(record: Record, bone: BoneOverTime, trace: Table | None) -> list[A
         for _, surface in taken:
             # an empty surface has no array of shape (n, 3)
             triangles = surface.regular_faces if surface.n_cells else np.zeros((0, 3), dtype=int)
-            mesh, order = packed_mesh(surface.points, triangles)
             # uncut bone has depth 0, and a share of it needs a divisor
-            depth = surface.point_data.get("removed_depth_mm", np.zeros(0))[order]
+            depth = surface.point_data.get("removed_depth_mm", np.zeros(0))
             layer = np.asarray(surface.cell_data.get("layer", np.zeros(0)), dtype=np.uint8)
             frame = {"mesh": len(meshes), "layer": packed(layer)}
             frame["depth"] = packed_shares(depth / max(bone.deepest_mm, 1e-9))
             frames.append(frame)
-            meshes.append(mesh)
+            meshes.append(packed_mesh(surface.points, triangles))
         part = {"group": "bone", "smooth": True, "times": [time_s for time_s, _ in taken]}
         record["parts"].append({**part, "meshes": meshes, "frames": frames})
     shown = [rest, *(surface for _, surface in moments)]
@@ -221,20 +220,17 @@ def _add_fields(record: Record, fields: SavedFields, plane: Plane) -> None:
         ]
         meshes: list[Record] = []
         frames: list[Record] = []
-        order = np.zeros(0, dtype=np.intp)
         for index, surface in enumerate(surfaces):
             # consecutive frames with the same triangles share a mesh
             if index == 0 or not _is_same(surfaces[index - 1], surface):
-                mesh, order = packed_mesh(surface.points, surface.regular_faces)
-                meshes.append(mesh)
+                meshes.append(packed_mesh(surface.points, surface.regular_faces))
             frame: Record = {"mesh": len(meshes) - 1}
             if fields.displacement is not None:
-                frame["moved"] = packed_vectors(fields.moved_mm(surface)[order])
+                frame["moved"] = packed_vectors(fields.moved_mm(surface))
             for name in fields.names:
                 values = field_values(surface, name)
                 if values is not None:
-                    shown = values[order] if name in surface.point_data else values
-                    frame[name] = packed_shares(_shares(shown, fields.limits(name)))
+                    frame[name] = packed_shares(_shares(values, fields.limits(name)))
             if has_layers:
                 frame["layer"] = packed(np.asarray(surface.cell_data["layer"], dtype=np.uint8))
             frames.append(frame)
