@@ -27,6 +27,7 @@ from tissue.simulation.bone_surface import (
     DepthMap,
     bone_surface,
     cut_out,
+    depth_map,
     smooth_normals,
     triangle_means,
     with_depth,
@@ -65,7 +66,7 @@ WIDEST_ARC = 0.4
 """Largest width of the arrow around the tool's axis, relative to the height of the picture."""
 
 
-def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
+def draw_before_after(run: Run, path: Path) -> str | None:
     """Draw the bone before the run, coloured by layer, and after it, coloured by removed depth.
 
     Both pictures have the same camera. For a deep and narrow cut, only the half of the bone behind
@@ -75,6 +76,7 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
     -------
     None, or the reason why the picture could not be drawn.
     """
+    depth = depth_map(run)
     volume, remaining, plane = _opened(run, depth)
     # a surface is drawn where voxels are half full
     if min(int(volume.fraction.max()), int(remaining.max())) < HALF:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Bytes
-from tissue.show.figures.figure import DPI, DRAWING, draw_arrow, figure, halo, save
+from tissue.show.figures.figure import DPI, draw_arrow, figure, halo, save
 from tissue.system.offscreen import draw_apart
 
 if TYPE_CHECKING:
@@ -189,26 +189,25 @@ def draw_shaded(
     tall = max(len(picture) for picture in pictures) // OVERSAMPLING
     wide = pictures[0].shape[1] // OVERSAMPLING
     size = len(pictures) * (wide + GAP_PX) - GAP_PX, tall + head + foot
-    with DRAWING:
-        chart = figure(size[0] / DPI, size[1] / DPI)
-        panels = []
-        for index, (picture, camera) in enumerate(zip(pictures, cameras, strict=True)):
-            high = len(picture) // OVERSAMPLING
-            left = index * (wide + GAP_PX)
-            low = foot + tall - high
-            axes = chart.add_axes((left / size[0], low / size[1], wide / size[0], high / size[1]))
-            ends = (-0.5, wide - 0.5, high - 0.5, -0.5)
-            axes.imshow(picture, interpolation="antialiased", extent=ends)
-            axes.set_axis_off()
-            _draw_scale(axes, camera)
-            panels.append(axes)
-        for axes, name in zip(panels, names, strict=False):
-            axes.set_title(name, size=10)
-        # 38 pixels below the upper edge, above the titles of the panels; lower with a second line
-        middle = 38 + 8 * title.count("\n")
-        chart.text(0.5, 1.0 - middle / size[1], title, ha="center", va="center", size=11)
-        annotate(Shaded(chart, panels, cameras, size))
-        save(chart, path)
+    chart = figure(size[0] / DPI, size[1] / DPI)
+    panels = []
+    for index, (picture, camera) in enumerate(zip(pictures, cameras, strict=True)):
+        high = len(picture) // OVERSAMPLING
+        left = index * (wide + GAP_PX)
+        low = foot + tall - high
+        axes = chart.add_axes((left / size[0], low / size[1], wide / size[0], high / size[1]))
+        ends = (-0.5, wide - 0.5, high - 0.5, -0.5)
+        axes.imshow(picture, interpolation="antialiased", extent=ends)
+        axes.set_axis_off()
+        _draw_scale(axes, camera)
+        panels.append(axes)
+    for axes, name in zip(panels, names, strict=False):
+        axes.set_title(name, size=10)
+    # 38 pixels below the upper edge, above the titles of the panels; lower with a second line
+    middle = 38 + 8 * title.count("\n")
+    chart.text(0.5, 1.0 - middle / size[1], title, ha="center", va="center", size=11)
+    annotate(Shaded(chart, panels, cameras, size))
+    save(chart, path)
     return None
 
 

@@ -16,7 +16,6 @@ from tissue.scene.anatomy import Tooth
 from tissue.show.figures.figure import (
     EDGE,
     axis_names,
-    draw_outline,
     halo,
     layer_colours,
     panelled,
@@ -229,7 +228,10 @@ def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
         interpolation="nearest",
     )
     gone = _removed(section)
-    draw_outline(axes, gone, section.extent_mm, color="black", linewidth=1.1)
+    # contour() would warn without a contour
+    if gone.max() > 0.5 > gone.min():
+        look: dict[str, Any] = {"colors": "black", "linewidths": 1.1, "origin": "lower"}
+        axes.contour(gone.T, [0.5], extent=section.extent_mm, **look)
 
 
 def _removed(section: Section) -> Array:
