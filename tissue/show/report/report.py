@@ -15,6 +15,7 @@ from typing import Any
 from zipfile import ZIP_DEFLATED, ZipFile
 
 from meshes.base.errors import InputError
+from meshes.base.isolated_parser import parse_isolated
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import package_version, require_new_file, write_text
 from tissue.scene.texts import folders_of
@@ -96,7 +97,7 @@ def write_report(
     belongs = out.absolute().parent == folder.absolute() and out.name == NAME
     with added_to_run(folder) if belongs else nullcontext():
         report("reading the run", 0.0)
-        require_whole(saved)
+        _require_whole(saved)
         clean = _cleaner(saved)
         shown = _cleaned({"stage": stage(saved), **_trace(saved)}, clean)
         # reading and packing surfaces takes most of the time
@@ -104,6 +105,20 @@ def write_report(
         text = _html(saved, shown, scripts, clean, assessment)
         write_text(out, text)
     return out
+
+
+def _require_whole(saved: SavedRun) -> None:
+    """Refuse damaged files, which could make VTK end this process."""
+    require_whole(saved)
+    surfaces = sorted((saved.path / "carving").glob("*.vtp"))
+    if surfaces:
+        parse_isolated(
+            "meshes.surfaces.vtk_files:check_vtk",
+            saved.path,
+            what="folder of a run",
+            remedy="run the scene again",
+            arrays_by_file={f"carving/{path.name}": ["layer"] for path in surfaces},
+        )
 
 
 def _trace(saved: SavedRun) -> dict[str, object]:

@@ -1,8 +1,11 @@
 """3D view of a report: bone or organ over time, tool, force and colour scales."""
 
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 import numpy as np
 from matplotlib import colormaps
@@ -10,6 +13,7 @@ from matplotlib.colors import to_hex
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
+from meshes.base.errors import InputError
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
 from tissue.show.figures.figure import BONE, COMPONENTS, DEPTH_COLOURS, field_colours, layer_colours
@@ -17,16 +21,16 @@ from tissue.show.figures.organ_surface import with_normals
 from tissue.show.figures.tool_mesh import faces_of, turning_tool
 from tissue.show.report.charts import Record, packed, packed_mesh, packed_shares, packed_vectors
 from tissue.show.viewer.saved_surfaces import (
-    BoneOverTime,
     Plane,
     bone_of,
     cut_plane,
     saved_fields,
     tool_force,
 )
-from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.run_folder import SavedRun, saved_placement
 from tissue.simulation.saved_fields import SavedFields, field_label, field_values
 from tissue.simulation.trace import Table
+from tissue.simulation.vtk_files import mesh_in_scene
 
 if TYPE_CHECKING:
     import pyvista
@@ -45,7 +49,7 @@ The browser interpolates between the poses.
 MOST_POINTS = 3000
 """Largest number of points of the drawn path, more than a screen has pixels across."""
 MOST_MOMENTS = 40
-"""Largest number of times at which the bone is shown.
+"""Largest number of times at which the bone of an incomplete run is shown.
 
 The report contains a surface of the carved bone for each of these times.
 """
@@ -65,7 +69,7 @@ def stage(saved: SavedRun) -> Record:
     """
     scene = saved.scene
     trace = saved.trace if saved.trace is not None and len(saved.trace.rows) else None
-    bone = bone_of(saved, scene)
+    bone = list(_bone_moments(saved))
     fields = saved_fields(saved)
     record: Record = {
         "parts": [],
@@ -73,8 +77,8 @@ def stage(saved: SavedRun) -> Record:
         "open": scene is not None and not isinstance(scene.tool, Probe),
     }
     seen: dict[str, list[Array]] = {}
-    if bone is not None:
-        seen["bone"] = _add_bone(record, bone, trace)
+    if bone:
+        seen["bone"] = _add_bone(record, bone)
     if fields is not None:
         _add_fields(record, fields, cut_plane(saved, fields))
         seen["field"] = [np.asarray(fields.frames[0].points)]
@@ -157,27 +161,73 @@ def _still(surface: "pyvista.PolyData") -> Record:
     return {"times": [0.0], "meshes": [mesh], "frames": [{"mesh": 0}], "smooth": True}
 
 
-def _add_bone(record: Record, bone: BoneOverTime, trace: Table | None) -> list[Array]:
+def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
+    """Yield time [s], kind and surface [mm] of each surface of the bone.
+
+    The kind is True for the part of the bone that no cut changes. Without the recorded surfaces,
+    which are coarser than the voxels, the cuts are replayed.
+    """
+    import pyvista
+
+    index = saved.path / "carving.pvd"
+    if saved.complete and index.is_file():
+        placement = saved_placement(saved.path)
+        read: dict[str, Any] = {}
+        for time_s, part, name in _entries(index):
+            # a surface that does not change is listed at every moment
+            if name not in read:
+                read[name] = mesh_in_scene(pyvista.read(saved.path / name), placement)
+                yield time_s, part == 1, read[name]
+        return
+    bone = bone_of(saved, saved.scene)
+    if bone is None:
+        return
+    yield 0.0, True, bone.rest(bone.layers)
+    times = np.zeros(1) if saved.trace is None else saved.trace["time_s"]
+    last = max(len(times) - 1, 0)
+    for tick in np.unique(np.linspace(0, last, MOST_MOMENTS).astype(int)).tolist():
+        # moments without a change are left out, except the first
+        if bone.at(tick) or tick == 0:
+            yield float(times[tick]), False, bone.cut(bone.layers)
+
+
+def _entries(index: Path) -> list[tuple[float, int, str]]:
+    """Read times [s], parts and files from ``carving.pvd``; refuse files outside the folder."""
+    folder = index.parent.resolve()
+    with suppress(ElementTree.ParseError, KeyError, ValueError, LookupError, OSError):
+        root = ElementTree.fromstring(index.read_bytes())
+        found = [
+            (float(one.attrib["timestep"]), int(one.attrib["part"]), one.attrib["file"])
+            for one in root.iter("DataSet")
+        ]
+        files = [(folder / name).resolve() for *_, name in found]
+        if all(file.is_relative_to(folder) and file.is_file() for file in files):
+            return found
+    raise InputError("carving.pvd", "be a ParaView collection", index, "run the scene again")
+
+
+def _add_bone(record: Record, moments: list[tuple[float, bool, Any]]) -> list[Array]:
     """Add the surfaces of the bone over time; return the points that must be in view [mm].
 
     The surfaces can be coloured by removed depth and by layer. A bone without a cut is coloured by
     layer only.
     """
-    times = np.zeros(1) if trace is None else trace["time_s"]
-    rest = bone.rest(bone.layers)
-    moments: list[tuple[float, Any]] = []
-    for tick in np.unique(np.linspace(0, len(times) - 1, MOST_MOMENTS).astype(int)).tolist():
-        # moments without a change are left out, except the first
-        if bone.at(tick) or tick == 0:
-            moments.append((float(times[tick]), bone.cut(bone.layers)))
-    on_points = {"group": "bone", "on": "points"}
-    if bone.deepest_mm > 0.0:
+    surfaces = [surface for *_, surface in moments if surface.n_cells]
+    deepest_mm = max(
+        (float(each.point_data["removed_depth_mm"].max()) for each in surfaces), default=0.0
+    )
+    names = [str(name) for name in surfaces[0].field_data["layer_names"]] if surfaces else []
+    layers = np.unique(np.concatenate([[], *(each.cell_data["layer"] for each in surfaces)]))
+    if deepest_mm > 0.0:
         colours = _colours(DEPTH_COLOURS)
         colours[: round(UNCUT * len(colours))] = np.array(BONE)
-        scale = _scale("removed depth", "mm", "depth", colours, (0.0, bone.deepest_mm))
-        record["scales"].append(scale | on_points)
-    record["scales"].append(_layer_scale(bone.layer_names, bone.layers, group="bone"))
-    for taken in (moments, [(0.0, rest)]):
+        scale = _scale("removed depth", "mm", "depth", colours, (0.0, deepest_mm))
+        record["scales"].append(scale | {"group": "bone", "on": "points"})
+    record["scales"].append(_layer_scale(names, layers.astype(int).tolist(), group="bone"))
+    for is_rest in (False, True):
+        taken = [(time_s, surface) for time_s, rests, surface in moments if rests is is_rest]
+        if not taken:
+            continue
         meshes: list[Record] = []
         frames: list[Record] = []
         for _, surface in taken:
@@ -187,13 +237,12 @@ def _add_bone(record: Record, bone: BoneOverTime, trace: Table | None) -> list[A
             depth = surface.point_data.get("removed_depth_mm", np.zeros(0))
             layer = np.asarray(surface.cell_data.get("layer", np.zeros(0)), dtype=np.uint8)
             frame = {"mesh": len(meshes), "layer": packed(layer)}
-            frame["depth"] = packed_shares(depth / max(bone.deepest_mm, 1e-9))
+            frame["depth"] = packed_shares(depth / max(deepest_mm, 1e-9))
             frames.append(frame)
             meshes.append(packed_mesh(surface.points, triangles))
         part = {"group": "bone", "smooth": True, "times": [time_s for time_s, _ in taken]}
         record["parts"].append({**part, "meshes": meshes, "frames": frames})
-    shown = [rest, *(surface for _, surface in moments)]
-    return [np.asarray(surface.points) for surface in shown if surface.n_points]
+    return [np.asarray(surface.points) for surface in surfaces]
 
 
 def _add_fields(record: Record, fields: SavedFields, plane: Plane) -> None:
