@@ -97,7 +97,7 @@ def add_slider(
         pointa=(left, height),
         pointb=(right, height),
         color="black",
-        # shares of the window: letters as high as in the lists of `controls`, and a handle that
+        # shares of the window: letters as high as those of the help, and a handle that
         # is wider than its line
         title_height=0.024,
         slider_width=0.012,

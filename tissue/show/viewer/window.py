@@ -1,18 +1,16 @@
 """Window of `tissue view`, also used off screen for stills and movies."""
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from subprocess import DEVNULL, SubprocessError, run
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from meshes.base.arrays import Array, Bytes
 from meshes.base.errors import InputError
-from meshes.base.whole_file import whole_file
 from tissue.show.figures.rendering import round_length
-from tissue.show.viewer.controls import Playback, PointRead
 from tissue.show.viewer.fields import FieldsShown
+from tissue.show.viewer.playback import Playback
 from tissue.show.viewer.plotter import (
     Plotter,
     add_names,
@@ -21,7 +19,6 @@ from tissue.show.viewer.plotter import (
     aim,
     free_keys,
     new_plotter,
-    on_click,
 )
 from tissue.show.viewer.run_scene import CHART_SHARE, Choice, RunScene
 from tissue.show.viewer.saved_surfaces import cut_plane
@@ -64,20 +61,6 @@ def add_scale_bar(plotter: Plotter) -> None:
     bar.GetProperty().SetLineWidth(5.0)
     plotter.add_actor(bar, reset_camera=False, render=False)
     plotter.add_text(f"{length:g} mm", position=(x, y + 8), font_size=11, color="black")
-
-
-def leave_alone(plotter: Plotter, kept: Collection[object], points_mm: Array) -> None:
-    """Remove texts, widgets, colour scales and all actors except `kept` from a plotter.
-
-    The camera is moved so that the given points fill the window.
-    """
-    plotter.clear_slider_widgets()
-    plotter.remove_legend(render=False)
-    plotter.remove_chart(*plotter.renderer._charts)
-    for actor in list(plotter.actors.values()):
-        if actor not in kept:
-            plotter.remove_actor(actor, reset_camera=False, render=False)
-    aim(plotter, points_mm, margins=(BORDER, 1.0 - BORDER, BORDER, 1.0 - BORDER), parallel=True)
 
 
 def write_clean(plotter: Plotter, file: Path) -> None:
@@ -126,11 +109,8 @@ def check_movie(path: Path) -> None:
             import imageio.v2  # noqa: F401
             import imageio_ffmpeg
 
-            encoder = imageio_ffmpeg.get_ffmpeg_exe()
-            # an encoder that IMAGEIO_FFMPEG_EXE names is not tried; one that takes a minute to
-            # print its version hangs
-            run([encoder, "-version"], check=True, capture_output=True, stdin=DEVNULL, timeout=60.0)
-        except (ImportError, RuntimeError, OSError, SubprocessError):
+            imageio_ffmpeg.get_ffmpeg_exe()
+        except (ImportError, RuntimeError):
             raise InputError(
                 "movie",
                 "be a .gif where imageio and imageio-ffmpeg have no ffmpeg that runs",
@@ -149,7 +129,7 @@ def movie_times_s(first_s: float, last_s: float) -> Array:
 
 
 def write_movie(path: Path, pictures: Iterable[Bytes]) -> None:
-    """Write a movie; an existing file is replaced only when the new file is complete.
+    """Write a movie; an existing file is replaced.
 
     Parameters
     ----------
@@ -158,8 +138,7 @@ def write_movie(path: Path, pictures: Iterable[Bytes]) -> None:
     pictures
         Red, green and blue of each picture, shape (height, width, 3). Height and width are even.
     """
-    with whole_file(path) as temporary:
-        (_write_mp4 if path.suffix.lower() == ".mp4" else _write_gif)(temporary, pictures)
+    (_write_mp4 if path.suffix.lower() == ".mp4" else _write_gif)(path, pictures)
 
 
 def _write_gif(path: Path, pictures: Iterable[Bytes]) -> None:
@@ -225,7 +204,7 @@ class Window:
     ----------
     plotter
         PyVista's plotter.
-    fields, point, bone
+    fields, bone
         Parts of the window; None for a part that the run or a still picture does not have.
     playback
         Shown time.
@@ -237,19 +216,21 @@ class Window:
         self._off_screen = off_screen
         title_bar = f"tissue: {saved.summary.get('scene', 'run')}"
         self.plotter = new_plotter(SIZE, title=title_bar, off_screen=off_screen)
-        shown = self._shown = RunScene(saved, choice, self.plotter, fine=off_screen)
+        shown = self._shown = RunScene(
+            saved, choice, self.plotter, fine=off_screen, annotated=not choice.clean
+        )
         self.bone = shown.bone
         self.fields = shown.fields
-        self.point: PointRead | None = None
         self.playback = Playback(shown.span_s, shown.start_s)
         self.hidden: frozenset[str] = frozenset()
         self._slider: Any = None
-        add_names(self.plotter, shown.face_colours)
+        if not choice.clean:
+            add_names(self.plotter, shown.face_colours)
         if choice.hide:
             self.toggle(*choice.hide)
         if len(shown.times_s):
             shown.at(shown.start_s)
-        if len(shown.times_s) > 1:
+        if len(shown.times_s) > 1 and not choice.clean:
             right = 0.97 if shown.series is None or off_screen else 0.66
             self._slider = add_slider(
                 self.plotter,
@@ -264,15 +245,19 @@ class Window:
         self._names = [*([None] if self.bone is not None else []), *fields]
         self.choose(choice.field or next(iter(self._names), None))
         self._plane = cut_plane(saved, shown.series) if shown.series is not None else None
+        if choice.clean:
+            kept = list(shown.tissue_actors())
+            for actor in [each for each in self.plotter.actors.values() if each not in kept]:
+                self.plotter.remove_actor(actor, reset_camera=False, render=False)
+            area = (BORDER, 1.0 - BORDER, BORDER, 1.0 - BORDER)
+            aim(self.plotter, shown.tissue_mm, margins=area, parallel=True)
+            return
         lines = [(title, 11)]
         if not off_screen:
             lines += [("", 11), *((words, 9) for words in self._add_keys())]
         for row, (words, size) in enumerate(lines):
             # the second line has the readings of the moment, which `run_scene` writes
             add_text(self.plotter, words, (0.012, 0.965 - 0.033 * row), size=size)
-        if choice.clean:
-            leave_alone(self.plotter, list(shown.tissue_actors()), shown.tissue_mm)
-            return
         aim(self.plotter, shown.extent_mm(), parallel=off_screen)
         if off_screen:
             add_scale_bar(self.plotter)
@@ -353,7 +338,7 @@ class Window:
         self._shown.at(time_s)
 
     def _add_keys(self) -> tuple[str, str]:
-        """Add keys, point values and the factor of the displacement; return two lines of help."""
+        """Add keys and the factor of the displacement; return two lines of help."""
         plotter = self.plotter
         shown = self._shown
         first = [self.bone.help] if self.bone is not None else []
@@ -373,10 +358,7 @@ class Window:
             plotter.add_key_event("x", self.switch_plane)
             plotter.add_key_event("comma", lambda: self.push_plane(-PUSH))
             plotter.add_key_event("period", lambda: self.push_plane(PUSH))
-            second[:0] = ["x: cut open", ", and .: move the cut", "click: read a point"]
-            # 2 % of the run's size: visible, and small next to a layer
-            self.point = PointRead(plotter, self.fields, size_mm=0.02 * shown.size_mm)
-            on_click(plotter, self.point.click)
+            second[:0] = ["x: cut open", ", and .: move the cut"]
             self._add_scale(self.fields, shown.series)
         return "    ".join(filter(None, first)), "    ".join(second)
 
