@@ -94,7 +94,7 @@ def test_the_report_finds_what_was_planted(study):
     study.write_tables()
     page, message = write_report(study.path)
     text = page.read_text("utf-8")
-    assert text.count("<section") >= 13 and text.count("data:image/png;base64,") == 8
+    assert text.count("<section") >= 12 and text.count("data:image/png;base64,") == 5
     # each has one, and no pictures come of that
     assert "People have too few trials on two specimens each." in text
     assert "http" not in text.replace("http-equiv", "") and "<script" not in text
@@ -102,7 +102,7 @@ def test_the_report_finds_what_was_planted(study):
         "1 failed, koopman: InputError: it was too late (T1-expert-0003)" in each
         for each in message
     )
-    # five sentences and three pictures begin the report
+    # five sentences begin the report
     registered, force, travel, _, papers = message[:5]
     assert registered.startswith("plan.toml was registered before the first trial")
     assert force.startswith("Force error with prediction over that of the penalty law: T1 0.4")
@@ -110,7 +110,7 @@ def test_the_report_finds_what_was_planted(study):
     assert f"travel after the puncture is {range_text}" in travel
     assert papers.startswith("Of ")
     first = text[text.index('<section id="found"') : text.index('<section id="overview"')]
-    assert first.count('class="verdict"') == 5 and first.count("<img") == 3
+    assert first.count('class="verdict"') == 5
     assert "koopman lets 100 % notice, travel 0.50 mm" in text
     assert "±" not in text
     assert text.index('<section id="found"') < text.index('<section id="overview"')
@@ -127,14 +127,6 @@ def test_the_report_finds_what_was_planted(study):
     # three standard errors of 2,000 populations about 5 %, and one point for the smoothed residuals
     assert 2.5 < float(rates["T2", "method", "sign flips"]["type I %"]) < 7.5
     assert ("T1", "group, 3 metrics", "sign flips") in rates
-    sources = {
-        (row["of"], row["parameter"]): row["source"]
-        for row in rows_of(page.parent / "parameters.csv")
-    }
-    assert (
-        "chai3d" in sources["devices, touch", "force_limit_N"]
-        and ("method koopman", "prediction") in sources
-    )
     means = [row for row in rows_of(page.parent / "index.csv") if row["what"] == "mean"]
     assert max(means, key=lambda row: float(row["value"]))["name"].startswith("koopman")
 
@@ -208,7 +200,7 @@ def test_intervals_of_positive_metrics_hold_the_mean_at_their_rate():
 def test_errors_of_predictors_have_positive_intervals():
     """A chart with a logarithmic axis cannot show an interval that ends below zero."""
     errors = np.outer([0.01, 0.02, 0.03, 0.90], np.ones(len(HORIZONS)))
-    found = PredictorComparison("wall", {"hold": errors}, {}, {})
+    found = PredictorComparison("wall", {"hold": errors}, {})
     mean, low, high = found.at("hold", 4)
     assert mean == pytest.approx(0.24) and 0.0 < low < mean < high
 

@@ -86,12 +86,20 @@ class Trial:
         One row for each method, see `Row`.
     took_s
         Wall time of the trial [s].
+    plan_sha256, code_sha256
+        Hashes of the registered plan and of the code with which the trial was run, as recorded in
+        its file.
+    whole
+        False if the content of the file differs from its recorded hash.
     """
 
     key: TrialKey
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     rows: tuple[Row, ...]
     took_s: float
+    plan_sha256: str = ""
+    code_sha256: str = ""
+    whole: bool = True
 
     @property
     def failed(self) -> bool:
