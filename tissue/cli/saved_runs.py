@@ -218,7 +218,7 @@ def view(
     from tissue.show.viewer.run_scene import Choice
     from tissue.show.viewer.view import view as show
 
-    opened = (lambda address: console.print(f"open {address}; Ctrl-C ends it")) if web else None
+    opened = (lambda address: console.print(f"open {address}\nCtrl-C ends the page.")) if web else None
     with nullcontext(silent) if movie is None else progress() as report:
         shown = show(
             folder,
