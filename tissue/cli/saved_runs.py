@@ -60,9 +60,8 @@ def assess(
         "deviation_limit_mm": deviation_limit_mm,
         "overshoot_limit_mm": overshoot_limit_mm,
     }
+    given = {name: value for name, value in limits.items() if value is not None}
     several = folder.is_dir() and not ranking.is_run(folder)
-    if several:
-        left_out("for a folder of trainees", "remove it, or name the folder of one run", **limits)
     if out is None:
         left_out("without --out, because no file is written", "remove it", overwrite=overwrite)
     elif several:
@@ -71,9 +70,8 @@ def assess(
         require_folder(out, "assessment", assessment_files.FILES, overwrite=overwrite)
     found: Assessment | Ranking
     if several:
-        found = rank(folder, against)
+        found = rank(folder, against, **given)
     else:
-        given = {name: value for name, value in limits.items() if value is not None}
         found = assessed(folder, against, **given)
     console.print(str(found))
     if out is not None:
@@ -213,7 +211,7 @@ def view(
     from tissue.show.viewer.run_scene import Choice
     from tissue.show.viewer.view import view as show
 
-    opened = (lambda address: console.print(f"open {address}; Ctrl-C ends it")) if web else None
+    opened = (lambda address: console.print(f"open {address}\nCtrl-C ends the page.")) if web else None
     with nullcontext(silent) if movie is None else progress() as report:
         shown = show(
             folder,

@@ -456,8 +456,20 @@ def _stated(key: str, value: object, keys: Iterable[str]) -> str:
 
 
 def _names(runs: list[Run]) -> list[str]:
-    """Return the names of runs by their folders or scenes; equal names are numbered."""
+    """Return the names of runs by their folders or scenes; equal names are numbered.
+
+    If runs in folders of equal names lie in different parent folders, the names of these parents
+    are used.
+    """
     plain = [run.scene.name if run.path is None else run.path.resolve().name for run in runs]
+    folders = [run.path.resolve().parts for run in runs if run.path is not None]
+    if len(folders) == len(runs) == len(set(folders)):
+        size = 1
+        while len({parts[-size:] for parts in folders}) < len(runs):
+            size += 1
+        ends = [parts[-size:] for parts in folders]
+        differing = [at for at in range(-size, 0) if len({end[at] for end in ends}) > 1]
+        return ["/".join(end[at] for at in differing) for end in ends]
     count = Counter(plain)
     return [
         f"{name} {plain[: at + 1].count(name)}" if count[name] > 1 else name

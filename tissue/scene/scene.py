@@ -451,8 +451,8 @@ class Scene(Part):
             yield (
                 "motion.max_feed_mm_s",
                 lasts,
-                "with a device and duration_s",
-                "set motion.thrust_N or duration_s",
+                "with a device and duration_s, because the hand sets the speed",
+                "set no duration_s",
             )
         if self.fidelity is not None:
             where = "with fidelity, which chooses it"

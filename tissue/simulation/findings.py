@@ -55,8 +55,8 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
         came = float((trace.vectors("tool", "mm") @ heading).max())
         if came < wanted - TOLERANCE_MM:
             found["path"] = (
-                f"not finished: the tool reached {came:.3g} of motion.depth_mm = {wanted:g}; raise "
-                "motion.thrust_N or duration_s"
+                f"not finished: the tip reached a depth of {came:.3g} mm, and motion.depth_mm is "
+                f"{wanted:g}; raise motion.thrust_N or duration_s"
             )
     # The tolerance is half a tick, because durations are rounded to ticks.
     elif wanted_s >= path_s + 5e-4:
