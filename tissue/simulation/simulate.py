@@ -355,6 +355,11 @@ def build(
         known = [str(device) for device in wp.get_devices()]
         if compute not in known:
             raise InputError("compute", f"be one of {', '.join(known)}", compute, "use cpu here")
+    if scene.keep_clear is not None and ANATOMIES[scene.anatomy.kind].build is None:
+        from tissue.simulation.builders.keep_clear import require_structures
+
+        # An anatomy from a file may take a minute to build.
+        require_structures(scene.keep_clear, scene.bone)
     motion = motion_of(scene)
     notes = {}
     if motion.notes:

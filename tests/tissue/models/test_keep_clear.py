@@ -11,6 +11,7 @@ import tissue
 from meshes.base.errors import InputError
 from tissue.scene.load import parse_overrides
 from tissue.show.report.page import run_rows
+from tissue.simulation.builders import cutting, force_met
 
 RADIUS_MM = 3.0
 DEPTH_MM = 6.0
@@ -98,8 +99,11 @@ def test_a_breach_is_an_event_with_its_depth(run):
 
 
 @pytest.mark.parametrize("text", ["[Pulp]", "Pulp", '["Pulp"]', "pulp,canal"])
-def test_a_name_that_the_anatomy_does_not_have_is_refused_with_its_names(text):
-    texts = ["stress=none", "voxels.spacing_mm=0.2", f"keep_clear.names={text}"]
+@pytest.mark.parametrize("device", ["none", "touch"])
+def test_a_name_that_the_anatomy_does_not_have_is_refused_before_voxels(monkeypatch, text, device):
+    for module in (cutting, force_met):
+        monkeypatch.setattr(module, "volume_of", pytest.fail)
+    texts = ["stress=none", f"device={device}", f"keep_clear.names={text}"]
     scene = tissue.load_scene("molar", parse_overrides(texts))
     words = r"keep_clear.names must be structures of the anatomy \(pulp\), got .*\. Use pulp, or"
     with pytest.raises(InputError, match=words):
