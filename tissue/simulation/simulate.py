@@ -26,6 +26,7 @@ from tissue.simulation.findings import (
     BreakThrough,
     break_throughs,
     path_distance_mm,
+    path_note,
     region_note,
     shortfalls,
 )
@@ -164,6 +165,8 @@ def simulate(
         parts.notes |= shortfalls(
             scene, parts, trace, path_s=ticks * TICK_S if device is None else inf
         )
+        apart_mm = path_distance_mm(scene, parts.motion, trace)
+        parts.notes |= path_note(scene, parts, apart_mm)
         parts.notes |= region_note(parts, trace)
         broke = _break_throughs(parts, trace)
         through = [
@@ -176,7 +179,7 @@ def simulate(
         run.begun = folder
         run.scheduling = scheduling
         run.break_throughs = broke
-        run.path_distance_mm = path_distance_mm(scene, parts.motion, trace)
+        run.path_distance_mm = apart_mm
     return run
 
 
