@@ -23,7 +23,7 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.builders.parts import Parts
-from tissue.simulation.findings import BreakThrough
+from tissue.simulation.findings import BreakThrough, largest_rise
 from tissue.simulation.run_folder import (
     FORMAT,
     RunFolder,
@@ -270,6 +270,8 @@ class Run:
             found["path_distance_mm"] = self.path_distance_mm
         if isinstance(tissue, HasHeat) and (heat_J := tissue.heat_balance_J) is not None:
             found["heat_J"] = heat_J
+        if rise := largest_rise(trace):
+            found["largest_rise"] = rise
         if (limit := self.parts.motion.feed_limit) is not None:
             found["feed_limit"] = asdict(limit)
         if self.break_throughs:

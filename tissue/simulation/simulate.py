@@ -28,6 +28,7 @@ from tissue.simulation.findings import (
     BreakThrough,
     break_throughs,
     path_distance_mm,
+    path_note,
     region_note,
     shortfalls,
 )
@@ -168,6 +169,8 @@ def simulate(
         parts.notes |= shortfalls(
             scene, parts, trace, path_s=ticks * TICK_S if device is None else inf
         )
+        apart_mm = path_distance_mm(scene, parts.motion, trace)
+        parts.notes |= path_note(scene, parts, apart_mm)
         parts.notes |= region_note(parts, trace)
         broke = _break_throughs(parts, trace)
         through = [
@@ -180,7 +183,7 @@ def simulate(
         run.begun = folder
         run.scheduling = scheduling
         run.break_throughs = broke
-        run.path_distance_mm = path_distance_mm(scene, parts.motion, trace)
+        run.path_distance_mm = apart_mm
     return run
 
 
@@ -367,6 +370,11 @@ def build(
         known = [str(device) for device in wp.get_devices()]
         if compute not in known:
             raise InputError("compute", f"be one of {', '.join(known)}", compute, "use cpu here")
+    if scene.keep_clear is not None and ANATOMIES[scene.anatomy.kind].build is None:
+        from tissue.simulation.builders.keep_clear import require_structures
+
+        # An anatomy from a file may take a minute to build.
+        require_structures(scene.keep_clear, scene.bone)
     motion = motion_of(scene)
     notes = {}
     if motion.notes:

@@ -26,7 +26,7 @@ from tissue.simulation.builders.arguments import surface_of
 from tissue.simulation.builders.parts import Parts, swept_box
 from tissue.simulation.builders.voxels import is_procedural, solid_of, structures
 
-__all__ = ["keep_clear", "region_end"]
+__all__ = ["keep_clear", "region_end", "require_structures"]
 
 MARGIN_M = 10e-3
 """Margin around the scripted motion, because a hand may leave the path [m]; assumed."""
@@ -62,14 +62,12 @@ def keep_clear(
     low, high = swept_box(points, motion, MARGIN_M)
     distances: dict[str, Distance] = {}
     found: dict[str, Structure] = {}
-    shapes = structures(anatomy)
+    shapes = require_structures(wanted, anatomy)
     files = {f"keep_clear.files.{name}": (name, file) for name, file in wanted.files.items()}
     for name in wanted.names:
         if name in anatomy.structure_files:
             files[f"anatomy.{name}_file"] = name, anatomy.structure_files[name]
             continue
-        if name not in shapes:
-            raise _unknown_structure(name, anatomy, shapes)
         report(f"meshing the surface of {name}", 0.0)
         distances[name] = shapes[name].distance
         found[name] = Structure(*shape_triangles(shapes[name], low, high))
@@ -91,7 +89,29 @@ def keep_clear(
             f"the distance in the trace is never too large. It is too small by at most "
             f"{apart_mm:.2g} mm, and in a breach by at most {overlap_mm:.2g} mm"
         )
-    return KeepClear(cutter.profile, found, distances, points_m=points, box_m=np.array([low, high]))
+    return KeepClear(
+        cutter.profile,
+        found,
+        distances,
+        points_m=points,
+        box_m=np.array([low, high]),
+        margin_m=1e-3 * wanted.margin_mm,
+    )
+
+
+def require_structures(wanted: Wanted, anatomy: CutAnatomy) -> Mapping[str, Shape]:
+    """Return the procedural structures of an anatomy, after a check of the wanted names.
+
+    Raises
+    ------
+    InputError
+        If the anatomy does not have a named structure.
+    """
+    shapes = structures(anatomy)
+    for name in wanted.names:
+        if name not in anatomy.structure_files and name not in shapes:
+            raise _unknown_structure(name, anatomy, shapes)
+    return shapes
 
 
 def _unknown_structure(name: str, anatomy: CutAnatomy, shapes: Mapping[str, Shape]) -> InputError:
