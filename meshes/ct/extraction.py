@@ -185,6 +185,7 @@ def by_label(image: Image, mask: Flags) -> BoneOfImage:
     """
     from scipy.ndimage import gaussian_filter
 
+    marked = int(mask.sum())
     mask, other = largest_component(mask, image.source)
     part, mask = _around(image, mask)
     width_mm = SMOOTH_VOXELS * max(image.spacing_mm)
@@ -192,7 +193,12 @@ def by_label(image: Image, mask: Flags) -> BoneOfImage:
     field = gaussian_filter(mask.astype(np.float32), sigmas, mode="nearest")
     count = int(mask.sum())
     level = float(np.partition(field, field.size - count, axis=None)[field.size - count])
-    return _laid(part, field, level, other, count)
+    bone = _laid(part, field, level, other, count)
+    if marked == count:
+        return bone
+    left_ml = 1e-3 * (marked - count) * float(np.prod(part.spacing_mm))
+    note = f"{left_ml:.2g} ml of the label lie in separate pieces and are left out."
+    return replace(bone, notes=(*bone.notes, note))
 
 
 def by_threshold(image: Image, threshold: float) -> BoneOfImage:

@@ -173,8 +173,8 @@ class Inspection:
         size = by(np.subtract(self.high_mm, self.low_mm), ".4g")
         found = [
             f"{self.source}: {by(self.shape)} voxels of {by(self.spacing_mm, '.4g')} mm, "
-            f"{size} mm in all "
-            "(left, back, head)",
+            f"{size} mm in all (left, back, head), from {in_brackets(self.low_mm, '.4g')} to "
+            f"{in_brackets(self.high_mm, '.4g')} mm in LPS",
             f"values from {self.lowest:g} to {self.highest:g}"
             + (
                 ", Hounsfield units by their air and soft tissue"

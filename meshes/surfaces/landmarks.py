@@ -330,10 +330,11 @@ def _search_head(surface: Surface, kind: _Head) -> FoundSite:
     # Real heads have scores of 0.62. A score of 0.2 corresponds to a coverage slightly above that
     # of other parts.
     if not caps or scores[0] < 0.2 or max(cap.coverage for cap in caps) > kind.most:
-        got = f"at most {max((cap.coverage for cap in caps), default=0.0):.0%}"
+        covered = max((cap.coverage for cap in caps), default=0.0)
+        got = f"a part that covers at most {covered:.0%} of a sphere"
         what = (
-            f"{kind.name}, one cap of 18 to 32 mm radius over {kind.none:.0%} to {kind.most:.0%} "
-            "of its sphere"
+            f"{kind.name}, a rounded part of 18 to 32 mm radius that covers {kind.none:.0%} to "
+            f"{kind.most:.0%} of a sphere"
         )
         raise refusal(surface, what, got)
     best = caps[0]

@@ -154,8 +154,8 @@ def refusal(surface: Surface, what: str, got: str) -> InputError:
         "file",
         f"show a {what}",
         f"{got} in {surface.report.source}",
-        "check the unit of the file, separate bones that touch by labels, or give a centre and a "
-        "normal",
+        "check the unit of the file, give a single bone by labels or a crop, or give a centre and "
+        "a normal",
     )
 
 

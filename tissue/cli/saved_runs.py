@@ -69,10 +69,7 @@ def assess(
     else:
         require_folder(out, "assessment", assessment_files.FILES, overwrite=overwrite)
     found: Assessment | Ranking
-    if several:
-        found = rank(folder, against, **given)
-    else:
-        found = assessed(folder, against, **given)
+    found = rank(folder, against, **given) if several else assessed(folder, against, **given)
     console.print(str(found))
     if out is not None:
         written = found.save(out, overwrite=overwrite)
@@ -211,7 +208,9 @@ def view(
     from tissue.show.viewer.run_scene import Choice
     from tissue.show.viewer.view import view as show
 
-    opened = (lambda address: console.print(f"open {address}\nCtrl-C ends the page.")) if web else None
+    def opened(address: str) -> None:
+        console.print(f"open {address}\nCtrl-C ends the page.")
+
     with nullcontext(silent) if movie is None else progress() as report:
         shown = show(
             folder,
@@ -220,6 +219,6 @@ def view(
             movie=movie,
             overwrite=overwrite,
             progress=report,
-            opened=opened,
+            opened=opened if web else None,
         )
     console.print(shown)

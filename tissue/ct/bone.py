@@ -348,15 +348,23 @@ def _surface(bone: BoneOfImage, source: str) -> Surface:
 
 
 def _certainty(bone: BoneOfImage, density: Image, law: DensityLaw) -> str:
-    """Describe the density law briefly, with the uncertainty band of the bone's median density."""
-    held = density.values[bone.field > bone.level]  # the density extends beyond the surface
-    middle = float(np.median(held))
+    """Describe the density law briefly, with the uncertainty band of the bone's median density.
+
+    The range of densities leaves out the voxels at the surface, because their densities are
+    corrected for the soft tissue in them.
+    """
+    from scipy.ndimage import minimum_filter
+
+    inside = bone.field > bone.level  # the density extends beyond the surface
+    middle = float(np.median(density.values[inside]))
     low, high = law.band(np.array([(middle - law.offset_kg_m3) / law.slope_kg_m3]))
-    return (
-        f"{law.name}: median {middle:.0f} kg/m3, 90 % between {low[0]:.0f} and "
-        f"{high[0]:.0f} by the uncertainty of the law; voxels of the bone from {held.min():.0f} "
-        f"to {held.max():.0f}"
-    )
+    text = f"{law.name}: median {middle:.0f} kg/m3"
+    if high[0] > low[0]:
+        text += f", 90 % between {low[0]:.0f} and {high[0]:.0f} by the uncertainty of the law"
+    below = density.values[minimum_filter(inside, 3)]
+    if below.size:
+        text += f"; voxels below the surface from {below.min():.0f} to {below.max():.0f}"
+    return text
 
 
 def _followed(like: str | None, at: Placed | None, *, replay: bool) -> dict[str, Any]:

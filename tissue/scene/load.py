@@ -21,8 +21,9 @@ from tissue.materials.scene_constants import Materials
 from tissue.scene.messages import error_of, idle_keys
 from tissue.scene.part import is_file_key
 from tissue.scene.plugins import refusal
-from tissue.scene.registry import PERCEPTIONS, SCENES
+from tissue.scene.registry import CUTTERS, PERCEPTIONS, SCENES
 from tissue.scene.scene import Scene
+from tissue.scene.tool import Tool
 
 __all__ = [
     "FORMAT",
@@ -511,7 +512,10 @@ def parse_overrides(texts: Iterable[str]) -> dict[str, object]:
 
 
 def _place(table: dict[str, object], key: str, value: object) -> None:
-    """Set a dotted key in nested tables; a new kind removes the other keys of its part."""
+    """Set a dotted key in nested tables; a new kind removes the other keys of its part.
+
+    A new kind of cutter keeps the keys that the new cutter has.
+    """
     *parents, last = key.split(".")
     if len(parents) > DEEPEST:
         raise InputError(
@@ -532,5 +536,18 @@ def _place(table: dict[str, object], key: str, value: object) -> None:
         table = inner
     # Devices of all kinds have the same keys, so a new kind of device keeps the other keys.
     if last == "kind" and parents != ["device"] and table.get("kind", value) != value:
+        kept = _kept_of_cutter(table, value) if parents == ["tool"] else {}
         table.clear()
+        table.update(kept)
     table[last] = value
+
+
+def _kept_of_cutter(tool: Mapping[str, object], kind: object) -> dict[str, object]:
+    """Return the entries of a cutter that another kind of cutter has too.
+
+    The distance between cutting elements is chosen for a shape, so it is not kept.
+    """
+    if str(tool["kind"]) not in CUTTERS or str(kind) not in CUTTERS:
+        return {}
+    has = {*Tool.model_fields, *CUTTERS[str(kind)].keys} - {"shell_spacing_mm"}
+    return {key: value for key, value in tool.items() if key in has}

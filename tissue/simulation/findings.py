@@ -15,7 +15,7 @@ from tissue.motion.motion import Motion, frame_along
 from tissue.scene.anatomy import Bone, MolarAnatomy, Tooth
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.scene import Scene
-from tissue.scene.tool import PathMotion, ThrustMotion
+from tissue.scene.tool import PathMotion, ThrustMotion, Tool
 from tissue.simulation.bone_surface import tool_axes
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.builders.parts import Parts
@@ -54,6 +54,11 @@ RISING_S = 0.1
 
 The temperature changes every 20 ms and is 20 ms late. The value was chosen by judgement.
 """
+LEAST_DENSE = 0.001
+"""Share of cortical and subchondral bone in the region below which a note is made.
+
+The share was chosen by judgement.
+"""
 FORWARD = 0.5
 """Smallest ratio of travel along the tool's axis to total travel in a tick of forward motion.
 
@@ -64,9 +69,10 @@ Because of this limit, a tool that leaves the bone sideways does not count as br
 def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> dict[str, str]:
     """Return notes, keyed by subject, on targets that a run did not reach or remove.
 
-    There is also a note if the bone has a density image, but no bone in the simulated region is
-    dense enough to be cortical bone. ``path_s`` is the duration of the run [s]; infinity if a user
-    decides when the run ends. There is a note if this duration is shorter than the scripted motion.
+    There is also a note if the bone has a density image, but almost no bone in the simulated region
+    is dense enough to be cortical bone. ``path_s`` is the duration of the run [s]; infinity if a
+    user decides when the run ends. There is a note if this duration is shorter than the scripted
+    motion.
     """
     found = {}
     wanted_s = parts.motion.duration_s - parts.motion.after_s
@@ -96,11 +102,13 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
             )
     if isinstance(scene.anatomy, Bone) and scene.anatomy.density_file is not None:
         start = dict(zip(parts.tissue.layer_names, parts.tissue.start_m3.tolist(), strict=True))
-        if start["cortical"] + start["subchondral"] == 0.0:
+        # A few dense voxels, which depend on the voxel size, are not cortical bone.
+        if start["cortical"] + start["subchondral"] < LEAST_DENSE * sum(start.values()):
             dense = scene.anatomy.cortical_above_kg_m3
             found["cortical bone"] = (
-                f"none: no bone in the region reaches {dense:g} kg/m3. Thick voxels of a CT blur "
-                "thin cortical bone; lower anatomy.cortical_above_kg_m3, or import a finer CT"
+                f"less than {LEAST_DENSE:.1%} of the bone in the region reaches {dense:g} kg/m3. "
+                "Thick voxels of a CT blur thin cortical bone; lower "
+                "anatomy.cortical_above_kg_m3, or import a finer CT"
             )
     if parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
         return found
@@ -108,6 +116,14 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
         found["removed"] = (
             "nothing: the tool cut no tissue; move it deeper, or let the run last longer"
         )
+        if isinstance(scene.motion, PathMotion) and isinstance(scene.tool, Tool):
+            steps_mm = np.diff(np.array(scene.motion.points_mm), axis=0)
+            length_mm = float(np.linalg.norm(steps_mm, axis=1).sum())
+            # a path in metres is a thousand times shorter
+            if length_mm < 0.1 * scene.tool.diameter_mm:
+                found["removed"] += (
+                    f". motion.points_mm is only {length_mm:.3g} mm long; check that it is in mm"
+                )
     elif isinstance(scene.anatomy, Tooth) and (missed := _missed_caries(scene.anatomy, parts)):
         found["removed"] = missed
     return found

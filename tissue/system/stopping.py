@@ -32,10 +32,14 @@ SIGHUP is sent if a terminal is closed or lost. SIGQUIT and SIGBREAK are sent by
 """
 
 AGAIN_S = 0.01
-"""Delay after which a stop signal that Python dropped is sent again [s].
+"""Delay after which a stop signal that would be lost is sent again [s].
 
 After this delay, the callback during which Python dropped the signal has returned.
 """
+
+
+CATCHES_ALL = "trimesh"
+"""Package that catches every exception, also KeyboardInterrupt, around its optional imports."""
 
 
 class Terminated(KeyboardInterrupt):
@@ -61,12 +65,15 @@ def terminated_as_exception() -> Iterator[None]:
     In other threads the block has no effect. Native code that a signal interrupts may replace the
     exception with an error of its own, for example in pydantic. After a stop, including Ctrl-C, any
     error that leaves the block is therefore replaced with the exception of the stop. Python drops
-    an exception that is raised in some callbacks, such as the callback of a weak reference. The
-    stop signal is then sent again shortly after.
+    an exception that is raised in some callbacks, such as the callback of a weak reference, and the
+    package `CATCHES_ALL` would catch it. In both cases the stop signal is sent again shortly after.
     """
     received: list[KeyboardInterrupt] = []
 
     def stop(number: int, frame: FrameType | None) -> None:
+        if _is_caught(frame):
+            threading.Timer(AGAIN_S, _send, (number,)).start()
+            return
         # a shell that ends sends SIGHUP again, which would interrupt the cleanup
         if number == getattr(signal, "SIGHUP", None):
             signal.signal(number, signal.SIG_IGN)
@@ -145,6 +152,15 @@ def signals_handled(
     finally:
         for number, old in before.items():
             signal.signal(number, old)
+
+
+def _is_caught(frame: FrameType | None) -> bool:
+    """Return True if code of `CATCHES_ALL` is running or importing a module."""
+    while frame is not None:
+        if str(frame.f_globals.get("__name__")).partition(".")[0] == CATCHES_ALL:
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _send(number: int) -> None:

@@ -134,10 +134,8 @@ def draw_sobol(
     shown = sorted(groups, key=lambda group: -most[group])[:SHOWN]
     # two panels a row
     rows = -(-len(indices) // 2)
-    left = len(groups) - len(shown)
-    more = f"; {left} that matter less are left out" if left else ""
     chart, panels = panelled(
-        f"{title}: which constant matters{more}",
+        f"{title}: constants with the largest influence ({len(shown)} of {len(groups)})",
         # inches: title and legend, then in each row a title and 0.36 for each constant
         (8.0, 0.75 + rows * (0.75 + 0.36 * len(shown))),
         rows,

@@ -299,7 +299,10 @@ def _band_text(band: Summary) -> str:
     totals = {name: index["total"] for name, index in band["sobol"].get("force_N.peak", {}).items()}
     first = sorted(totals, key=lambda name: -totals[name])[:3]
     shares = ", ".join(f"{name} {100.0 * totals[name]:.0f} %" for name in first)
-    matters = f"of the variance of the peak force: {shares}"
+    matters = (
+        f"total Sobol indices of the peak force: {shares}; interactions count for each constant "
+        "that takes part, so the indices may add up to more than 100 %"
+    )
     if not shares:
         explained = band.get("surrogate_explains", {}).get("force_N.peak")
         why = "it does not vary"
