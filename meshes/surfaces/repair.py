@@ -248,7 +248,7 @@ def fill_holes(
     """
     if is_manifold(faces):
         return (vertices, faces), Holes(0, 0, (), 0.0)
-    loops = open_loops(len(vertices), faces)
+    loops = open_loops(faces)
     points = [vertices]
     triangles = [faces]
     number = len(vertices)
@@ -275,29 +275,20 @@ def fill_holes(
     return (np.concatenate(points), np.concatenate(triangles)), holes
 
 
-def _unmatched(vertex_count: int, faces: Ints) -> Ints:
-    """Return directed edges whose reverse is missing, shape (n, 2).
+def open_loops(faces: Ints) -> list[Ints]:
+    """Return loops of directed edges whose reverse is missing. A loop has a vertex only once.
 
-    If the reverse of an edge is missing k times, the edge is returned k times.
+    A loop has the direction of its edges in the adjacent triangles. If the reverse of an edge is
+    missing k times, the edge is used k times.
     """
     edges = directed_edges(faces)
-    low, high = np.sort(edges, axis=1).T
-    keys, where = np.unique(low * vertex_count + high, return_inverse=True)
-    surplus = np.bincount(where, weights=np.where(edges[:, 0] < edges[:, 1], 1, -1)).astype(
-        np.int64
-    )
-    pairs = np.stack([keys // vertex_count, keys % vertex_count], axis=1)
+    keys, where = np.unique(_edge_keys(edges), return_inverse=True)
+    upward = np.where(edges[:, 0] < edges[:, 1], 1, -1)
+    surplus = np.bincount(where, weights=upward).astype(np.int64)
+    pairs = np.stack(np.divmod(keys, int(edges.max()) + 1), axis=1)
     pairs = np.where(surplus[:, None] > 0, pairs, pairs[:, ::-1])
-    return np.repeat(pairs, np.abs(surplus), axis=0)
-
-
-def open_loops(vertex_count: int, faces: Ints) -> list[Ints]:
-    """Return loops of unmatched edges. A loop does not contain a vertex twice.
-
-    A loop has the direction of its edges in the adjacent triangles.
-    """
     following: dict[int, list[int]] = {}
-    for a, b in _unmatched(vertex_count, faces).tolist():
+    for a, b in np.repeat(pairs, np.abs(surplus), axis=0).tolist():
         following.setdefault(a, []).append(b)
     loops = []
     for start in following:
@@ -333,7 +324,7 @@ def close_seams(
     -------
     Vertices and triangles. Added vertices and triangles come last.
     """
-    loops = open_loops(len(points), faces)
+    loops = open_loops(faces)
     theirs = [loop for loop in loops if loop[0] >= first_part]
     joined = [faces]
     for loop in loops:

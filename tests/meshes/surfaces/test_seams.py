@@ -33,7 +33,7 @@ def test_two_halves_with_other_points_are_joined():
     (upper, above), (lower, below) = half_ball(True, 60), half_ball(False, 37)
     points = np.concatenate([upper, lower])
     faces = np.concatenate([above, below + len(upper)])
-    assert len(open_loops(len(points), faces)) == 2
+    assert len(open_loops(faces)) == 2
     vertices, triangles = close_seams(points, faces, first_part=len(upper), within=0.1)
     whole = trimesh.Trimesh(vertices, triangles, process=False)
     assert len(vertices) == len(points) and len(triangles) == len(faces) + 60 + 37
