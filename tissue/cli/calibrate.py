@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from meshes.base.errors import InputError, names_of_caller
 from tissue.cli.terminal import ADDRESS, Flag, MaybeWhole, Whole, console, left_out, problems
@@ -97,7 +97,7 @@ def calibrate(
     asking = questioner(observer, device, address=address or "", read=input, show=console.print)
     naming = names_of_caller(ADDRESS)
     with naming, OutputLock(target, folder=False), asking as (answer, limit_N):
-        counts = {"trials": trials, "numbers": numbers}
+        counts: dict[str, Any] = {"trials": trials, "numbers": numbers}
         given = {each: count for each, count in counts.items() if count is not None}
         plan = Plan(seed=seed, force_limit_N=limit_N, **given)
         _session(target, name, plan, answer, live=not ask, overwrite=overwrite)

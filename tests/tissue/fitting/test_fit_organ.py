@@ -11,7 +11,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from planted_logs import TIMES_S, planted, slot
+from planted_logs import TIMES_S, slot
+from planted_logs import planted as planted_log
 
 import tissue
 from tissue.fitting.fit import fit_scene
@@ -231,7 +232,7 @@ def test_a_mesh_that_hides_every_constant_is_named(monkeypatch):
     forward = replace(
         whole, parameters=whole.parameters[:1], times_s=TIMES_S[::5], basis=whole.basis[::5, :, :1]
     )
-    measured, _ = planted(forward, np.random.default_rng(5), z=[0.0], scale=0.02)
+    measured, _ = planted_log(forward, np.random.default_rng(5), z=[0.0], scale=0.02)
     finer = (replace(forward, basis=0.5 * forward.basis),) * 2
     problem = Problem(forward, measured, 0.05, dict, finer=finer, mesh_factor=2.0)
     monkeypatch.setattr("tissue.fitting.fit.organ_problem", lambda *_, **__: problem)
