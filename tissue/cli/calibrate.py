@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from meshes.base.errors import InputError, names_of_caller
 from tissue.cli.terminal import ADDRESS, Flag, MaybeWhole, Whole, console, left_out, problems
@@ -14,16 +14,6 @@ if TYPE_CHECKING:
     from tissue.evaluation.calibration.session import Plan, Session, TrialLog
 
 __all__ = ["calibrate"]
-
-
-TRIALS = 120
-NUMBERS = 24
-"""Default numbers of comparisons in a session, and of forces that the person rates with a number.
-
-With 120 comparisons, the 95 % interval contains the true Weber fraction of 7 % in 95 to 96 % of 400
-simulated people (`python tests/bench/bench_calibration.py coverage`). The second number, 24, is
-chosen.
-"""
 
 
 def calibrate(
@@ -107,12 +97,9 @@ def calibrate(
     asking = questioner(observer, device, address=address or "", read=input, show=console.print)
     naming = names_of_caller(ADDRESS)
     with naming, OutputLock(target, folder=False), asking as (answer, limit_N):
-        plan = Plan(
-            seed=seed,
-            trials=TRIALS if trials is None else trials,
-            numbers=NUMBERS if numbers is None else numbers,
-            force_limit_N=limit_N,
-        )
+        counts: dict[str, Any] = {"trials": trials, "numbers": numbers}
+        given = {each: count for each, count in counts.items() if count is not None}
+        plan = Plan(seed=seed, force_limit_N=limit_N, **given)
         _session(target, name, plan, answer, overwrite=overwrite)
 
 

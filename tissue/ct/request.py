@@ -164,7 +164,11 @@ class ImportRequest:
 
         The coordinate system RAS is an error if no coordinates are given as numbers.
         """
-        points = {"site": [self.site], "normal": [self.normal], "crop_mm": self.crop_mm or ()}
+        points: dict[str, Sequence[object]] = {
+            "site": [self.site],
+            "normal": [self.normal],
+            "crop_mm": self.crop_mm or (),
+        }
         for name, given in points.items():
             for each in given:
                 if each is not None and not isinstance(each, str) and as_vector(each) is None:

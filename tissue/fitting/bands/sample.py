@@ -13,7 +13,7 @@ from scipy.stats import qmc
 from scipy.stats import sobol_indices as scipy_indices
 
 from meshes.base.arrays import Array, Ints
-from meshes.base.errors import InputError, require_range
+from meshes.base.errors import require_range
 from tissue.materials.constants import Constant, Entry, Prior
 from tissue.materials.scene_constants import Materials
 from tissue.scene.scene import Scene
@@ -140,19 +140,7 @@ def normals(count: int, width: int, *, seed: int) -> Array:
     """Return independent standard normal numbers, shape (count, width).
 
     The numbers follow a scrambled Sobol sequence. `count` is a power of two.
-
-    Raises
-    ------
-    InputError
-        If `width` exceeds the number of columns that a Sobol sequence supports.
     """
-    if width > qmc.Sobol.MAXDIM:
-        raise InputError(
-            "constants",
-            f"be at most {qmc.Sobol.MAXDIM}, the limit of a Sobol sequence",
-            width,
-            "fix some of the constants",
-        )
     points = qmc.Sobol(width, scramble=True, seed=seed).random(count)
     # a point of exactly 0 or 1 would give an infinite number; 1e-12 is 7 standard deviations away
     return ndtri(np.clip(points, 1e-12, 1.0 - 1e-12))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import cycle, product
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,7 +143,7 @@ def draw_ct_slices(
     # 1 and 99.8 %: a few bright voxels, such as metal, do not darken the image
     low, high = window_HU if hounsfield else np.percentile(image.values, (1, 99.8))
     styles = [(BODY, "solid"), *((colour, line) for line, colour in product(LINES, OTHERS))]
-    looks = [{"color": colour, "linestyle": line} for colour, line in styles]
+    looks: list[dict[str, Any]] = [{"color": colour, "linestyle": line} for colour, line in styles]
     # inches: three near square panels, and the legend below
     chart, panels = panelled(image.source, (9.0, 3.9), 1, 3, layout="compressed")
     for axes, (u, v, through, name) in zip(panels, VIEWS, strict=True):
@@ -160,7 +160,7 @@ def draw_ct_slices(
         )
         place = float(origin[through] + spacing[through] * at[through])
         for outline, look in zip(outlines.values(), cycle(looks), strict=False):
-            cut = outline.slice(normal="xyz"[through], origin=[place] * 3)
+            cut = outline.slice(normal=np.eye(3)[through], origin=[place] * 3)
             lines = np.asarray(cut.points)[cut.lines.reshape(-1, 3)[:, 1:]]
             axes.add_collection(LineCollection(list(lines[..., plane]), linewidths=1.1, **look))
         marks.draw(axes, partial(np.take, indices=plane, axis=1), NORMAL_MM)
