@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Singles
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.scene.tool import Needle
 from tissue.show.figures.figure import EDGE, field_colours, field_words
@@ -109,8 +109,9 @@ def draw_press(run: Run, path: Path) -> str | None:
     unit_mm = np.float32(IN_MM[moved.rpartition("_")[2]])
     mesh.points = np.asarray(mesh.points) + unit_mm * mesh.point_data[moved]
     stress = [name for name in frame.cells if name.startswith("von_mises_")][:1]
-    names = [name for name in (moved, *stress) if field_values(mesh, name) is not None]
-    colours = [_colours(name, field_values(mesh, name)) for name in names]
+    found = {name: field_values(mesh, name) for name in (moved, *stress)}
+    colours = [_colours(name, each) for name, each in found.items() if each is not None]
+    names = [name for name, each in found.items() if each is not None]
     opened = [along_needle or index > 0 for index in range(len(names))]
 
     def make() -> "list[tuple[pyvista.PolyData, Camera]]":
@@ -167,7 +168,7 @@ def draw_press(run: Run, path: Path) -> str | None:
     )
 
 
-def _colours(name: str, values: Array) -> "ScalarMappable":
+def _colours(name: str, values: Singles) -> "ScalarMappable":
     """Return the mapping from values of a field to colours.
 
     The scale is logarithmic if it begins above 0.

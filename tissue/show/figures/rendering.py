@@ -246,7 +246,7 @@ def _draw(mesh: "pyvista.PolyData", camera: Camera, ambient: float) -> Bytes:
     # a metre away: the eye is outside of every object, which is some centimetres large
     centre = np.array(camera.centre_mm)
     eye = centre + 1e3 * np.array(camera.towards_eye)
-    plotter.camera_position = [eye, centre, camera.up]
+    plotter.camera_position = [eye.tolist(), centre.tolist(), list(camera.up)]
     plotter.camera.parallel_projection = True
     plotter.camera.parallel_scale = 0.5 * camera.height_mm
     # from the eye, which is 1 m before the centre, to 1 m behind it [mm]

@@ -350,7 +350,8 @@ def distances_to_structures(run: Run) -> dict[str, float]:
     """
     clear = run.parts.keep_clear
     found = {} if clear is None else clear.summary()
-    return {name: float(each["least_distance_mm"]) for name, each in found.items()}
+    distances = {name: each["least_distance_mm"] for name, each in found.items()}
+    return {name: each for name, each in distances.items() if each is not None}
 
 
 def shown_mm(run: Run, section: Section) -> tuple[float, float, float, float]:

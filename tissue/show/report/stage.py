@@ -217,7 +217,7 @@ def _add_bone(record: Record, moments: list[tuple[float, bool, Any]]) -> list[Ar
             # an empty surface has no array of shape (n, 3)
             triangles = surface.regular_faces if surface.n_cells else np.zeros((0, 3), dtype=int)
             # uncut bone has depth 0, and a share of it needs a divisor
-            depth = surface.point_data.get("removed_depth_mm", np.zeros(0))
+            depth = np.asarray(surface.point_data.get("removed_depth_mm", []), dtype=np.float64)
             layer = np.asarray(surface.cell_data.get("layer", np.zeros(0)), dtype=np.uint8)
             frame = {"mesh": len(meshes), "layer": packed(layer)}
             frame["depth"] = packed_shares(depth / max(deepest_mm, 1e-9))
