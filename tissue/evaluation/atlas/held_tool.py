@@ -161,7 +161,7 @@ def in_a_hand(scene: Scene, *, seed: int, seconds: float) -> Scene:
 def recorded_path(scene: Scene) -> DevicePath:
     """Run the closed loop of a scene, and return the true poses of the device."""
     observer = _PoseObserver()
-    simulate(scene, allow_unstable=True, observer=observer)
+    simulate(scene, allow_unstable=True, observers=[observer])
     return DevicePath(np.array(observer.positions_m), np.array(observer.quaternions))
 
 
@@ -174,7 +174,7 @@ def replayed(scene: Scene, path: DevicePath, *, mass_share: float = 1.0) -> Cour
     times_s = TICK_S * np.arange(len(path.positions_m), dtype=np.float64)
     device = RecordedDevice(times_s, path.positions_m, path.quaternions)
     observer = _PoseObserver(mass_share)
-    trace = simulate(scene, allow_unstable=True, device=device, observer=observer).trace
+    trace = simulate(scene, allow_unstable=True, device=device, observers=[observer]).trace
     tips_m = 1e-3 * trace.vectors("tool", "mm")
     return Course(tips_m, trace.vectors("force", "N"), trace["contact_mm2"] > 0.0, observer.mass_kg)
 
