@@ -292,14 +292,10 @@ def block_averages(
     count = int(place[-1]) + 1
     rate = float(np.median(np.diff(times_s)))
     known = np.isfinite(values)
-    sums = np.zeros((count, values.shape[1]))
-    counts = np.zeros((count, values.shape[1]))
-    middles = np.zeros(count)
-    seen = np.maximum(np.bincount(place, minlength=count), 1)
-    np.add.at(sums, place, np.where(known, values, 0.0))
-    np.add.at(counts, place, known)
-    np.add.at(middles, place, times_s)
+    blocks = csr_array((np.ones(len(place)), (place, np.arange(len(place)))), (count, len(place)))
+    counts = blocks @ known.astype(float)
     enough = counts >= max(0.5 * block_s / rate, 1.0)
+    sums = blocks @ np.where(known, values, 0.0)
     averages = np.where(enough, sums / np.maximum(counts, 1.0), np.nan)
     samples = np.isfinite(averages).sum(axis=0)
     if len(samples) and samples.min() < FEWEST:
@@ -311,7 +307,8 @@ def block_averages(
         )
 
     starts = times_s[0] + block_s * np.arange(count)
-    shift = float(np.median((middles / seen - starts)[enough.any(axis=1)]))
+    middles = (blocks @ times_s) / np.maximum(blocks.sum(axis=1), 1.0)
+    shift = float(np.median((middles - starts)[enough.any(axis=1)]))
     each = max(round(block_s / rate), 1)
     within_s = tuple((rate * (np.arange(each) - 0.5 * (each - 1))).tolist())
     return MeasuredLoads(starts + shift, averages, channels, within_s)

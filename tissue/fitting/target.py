@@ -63,7 +63,7 @@ FARTHEST = 4.0
 Farther from the middle of the priors, loads are not linear in the constants.
 """
 MOST_STEPS = 60
-NEAR = 1e-3
+NEAR = 0.01
 """Limit of twice the predicted increase of the log density, below which a search ends.
 
 `MOST_STEPS` limits the number of least-squares steps of a search. Many steps are needed if a log
