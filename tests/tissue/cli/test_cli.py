@@ -147,6 +147,8 @@ def test_a_run_prints_its_figures_and_where_they_are(command, here):
         "files in runs/milling",
     ):
         assert word in output
+    # rows about scheduling are printed for a run in real time
+    assert "scheduling" not in output and "kernel launches" not in output
     assert "Warp" not in output
 
 

@@ -143,7 +143,8 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
         chart.colorbar(mapped, cax=bar, orientation="horizontal").set_label("removed depth / mm")
 
     opened = "" if plane is None else f", cut open at {'xyz'[plane[0]]} = {plane[1]:.2f} mm"
-    names = [f"{when}{opened}" for when in ("before", "after")]
+    part = "region around the tool, " if is_end.any() else ""
+    names = [f"{part}{when}{opened}" for when in ("before", "after")]
     return draw_shaded(make, path, annotate, margins_px=HEIGHTS_PX, names=names)
 
 
