@@ -110,13 +110,13 @@ assert abs(share - 0.59) < 0.01
 
 figure, axes = plt.subplots(figsize=(8, 4.8), layout="constrained")
 parts = [trace[name][:first] for name in ("elastic_N", "cutting_N", "friction_N")]
-names = ("held by membranes", "cut by the tip", "rubbed along the shaft")
+names = ("force of membranes", "cutting force at the tip", "friction along the shaft")
 axes.stackplot(
     travel[:first], *parts, labels=names, colors=("#56B4E9", "#E69F00", "#009E73"), alpha=0.35
 )
 for part, colour, label in (
     (slice(first), "0.1", "first insertion"),
-    (slice(first, last), "#D55E00", "drawn out"),
+    (slice(first, last), "#D55E00", "withdrawal"),
     (slice(last, None), "#0072B2", "second insertion"),
 ):
     axes.plot(travel[part], force[part], color=colour, linewidth=1.8, label=label)

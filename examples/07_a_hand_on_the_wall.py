@@ -75,10 +75,10 @@ for kind, run in runs.items():
     colour, line = styles[kind]
     panels[0].plot(run.time_s, run.force_N[:, 2], color=colour, linestyle=line, label=kind)
     panels[1].plot(run.time_s, 1e3 * run.taken_J, color=colour, linestyle=line)
-panels[0].set(ylabel="force off the wall / N", xlim=(0.25, 1.3))
-panels[1].set(ylabel="energy taken / mJ, lag not counted", xlabel="time / s")
+panels[0].set(ylabel="force on the hand / N", xlim=(0.25, 1.3))
+panels[1].set(ylabel="energy taken / mJ\n(without the lag)", xlabel="time / s")
 panels[0].legend(loc="upper left")
-panels[0].set_title(f"Meeting, holding and jerked off a wall of {STIFFNESS_N_M:g} N/m")
+panels[0].set_title(f"Touch, press and jerk away from a wall of {STIFFNESS_N_M:g} N/m")
 for panel in panels:
     panel.grid(alpha=0.3)
 figure.savefig(FIGURES / "07_wall.png", dpi=150)

@@ -44,9 +44,9 @@ real = [
 ]
 in_a_hand = tissue.stability.wall_loop("six-dof", HARD_N_M, hand="expert")
 loops = {
-    "free, no lag": [replace(each, delay_s=0.0, amplifier_Hz=inf) for each in real],
-    "free": real,
-    "held": [replace(in_a_hand, tick_s=1.0 / rate) for rate in RATES_HZ],
+    "not held, no lag": [replace(each, delay_s=0.0, amplifier_Hz=inf) for each in real],
+    "not held": real,
+    "held by an expert": [replace(in_a_hand, tick_s=1.0 / rate) for rate in RATES_HZ],
 }
 critical = {
     name: np.array([tissue.stability.critical_stiffness_N_m(each) for each in row])
@@ -66,7 +66,7 @@ for name, row in critical.items():
         f"{', '.join(enough) or 'none'}"
     )
 at_1_khz = RATES_HZ.index(1000.0)
-slow = replace(loops["held"][at_1_khz], model_ticks=10)
+slow = replace(loops["held by an expert"][at_1_khz], model_ticks=10)
 slow_critical = tissue.stability.critical_stiffness_N_m(slow)
 print(f"held, 1 kHz, model at 100 Hz: {slow_critical:.0f} N/m")
 
@@ -107,9 +107,9 @@ for (name, row), colour, marker in zip(
 axes.axhspan(800.0, 1000.0, color="0.85", zorder=0)
 axes.text(RATES_HZ[0], 890.0, "feels hard", color="0.3", va="center")
 axes.set(
-    xlabel="rate / Hz",
+    xlabel="loop rate / Hz",
     ylabel="critical stiffness / (N/m)",
-    title="Stable stiffness of a wall over rate",
+    title="Largest stable stiffness of a wall",
 )
 axes.grid(alpha=0.3, which="both")
 axes.legend()

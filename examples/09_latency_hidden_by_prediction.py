@@ -30,9 +30,9 @@ FIGURES = Path("figures")
 FIGURES.mkdir(exist_ok=True)
 HANDS = ("novice", "intermediate", "expert")
 PREDICTIONS = {
-    "none": "as it comes",
+    "none": "no prediction",
     "linear": "straight line",
-    "koopman-look-ahead": "predicted path, wall's law",
+    "koopman-look-ahead": "predicted path, law of the wall",
 }
 LATENCY_MS = 4
 
@@ -69,8 +69,8 @@ none, linear, predicted = (
 least = float(np.mean([error(each.nearest, each.ideal) for each in forces["koopman-look-ahead"]]))
 trusted = float(np.mean([each.trace["predicted_by"].mean() for each in runs["koopman-look-ahead"]]))
 for name, value in zip(PREDICTIONS.values(), (none, linear, predicted), strict=True):
-    print(f"{name:>25}: {100.0 * value:.2f} % of the force, {LATENCY_MS} ms late")
-print(f"{'predicted without error':>25}: {100.0 * least:.2f} %")
+    print(f"{name:>31}: {100.0 * value:.2f} % of the force, {LATENCY_MS} ms late")
+print(f"{'predicted without error':>31}: {100.0 * least:.2f} %")
 print(f"the operator was trusted in {100.0 * trusted:.1f} % of the ticks")
 assert (
     abs(none - 0.037) < 0.004 and abs(predicted - 0.0061) < 0.001 and abs(least - 0.0031) < 0.0006

@@ -77,26 +77,30 @@ panels[0].stairs(done.threshold.weber_masses()[:, 0], edges, color="#0072B2", fi
 panels[0].set(
     xlim=(2.0, 20.0),
     xlabel="Weber fraction / %",
-    ylabel="mass of a cell",
-    title="after one session",
+    ylabel="posterior probability",
+    title="posterior after one session",
 )
 panels[1].hist(100.0 * found, bins=20, color="#56B4E9")
 panels[1].set(
-    xlabel="Weber fraction found / %", ylabel="people", title=f"sessions with {PEOPLE} people alike"
+    xlabel="estimated Weber fraction / %",
+    ylabel="people",
+    title=f"one session with each of {PEOPLE} people",
 )
 for panel in panels[:2]:
-    panel.axvline(100.0 * WEBER, color="#D55E00", linestyle="--", label="truth")
+    panel.axvline(100.0 * WEBER, color="#D55E00", linestyle="--", label="true value")
 panels[0].legend()
 forces_N, given = np.array(done.given).T
 at = np.geomspace(forces_N.min(), forces_N.max(), 50)
-panels[2].loglog(forces_N, given, "o", color="#E69F00", alpha=0.7, label="numbers given")
+panels[2].loglog(forces_N, given, "o", color="#E69F00", alpha=0.7, label="numbers from the person")
 panels[2].loglog(
-    at, np.exp(numbers.mean[0]) * at ** numbers.mean[1], color="#0072B2", label="power law found"
+    at, np.exp(numbers.mean[0]) * at ** numbers.mean[1], color="#0072B2", label="fitted power law"
 )
 panels[2].set_xticks([0.3, 0.5, 1, 2, 3], ["0.3", "0.5", "1", "2", "3"])
 panels[2].set_xticks([], minor=True)
 panels[2].set(
-    xlabel="force / N", ylabel="number", title=f"exponent {numbers.mean[1]:.2f}, truth {EXPONENT}"
+    xlabel="force / N",
+    ylabel="number",
+    title=f"exponent {numbers.mean[1]:.2f}, true value {EXPONENT}",
 )
 panels[2].legend()
 for panel in panels:

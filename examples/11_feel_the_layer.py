@@ -102,14 +102,14 @@ right.bar(
     [errors[group][0] for group in GROUPS],
     0.38,
     color="#0072B2",
-    label="force as it is",
+    label="unscaled force",
 )
 right.bar(
     places + 0.2,
     [errors[group][1] for group in GROUPS],
     0.38,
     color="#009E73",
-    label="scaled for each",
+    label="force scaled for each person",
 )
 right.set_xticks(places, GROUPS)
 right.set(ylabel="wrong answers / %", title=f"{PEOPLE} simulated people of each group")

@@ -23,7 +23,7 @@ import numpy as np
 import tissue
 
 FIGURES = Path("figures")
-PLAN = tissue.study.Plan(trials=2, tasks=("T2",), methods=("penalty", "koopman"), sensitivity=False)
+PLAN = tissue.study.Plan(trials=2, tasks=("T2",), methods=("penalty", "koopman"))
 
 # %%
 # The trials run in two worker processes, which import this script. The code that starts these

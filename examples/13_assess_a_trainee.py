@@ -57,7 +57,7 @@ assert hands[1] is not None and hands[1].score > 80.0
 quantities = (found.deviation, found.force, found.depth)
 figure, panels = plt.subplots(3, 1, figsize=(8.0, 6.4), sharex=True, layout="constrained")
 for panel, each, label in zip(
-    panels, quantities, ("off the path / mm", "force / N", "depth / mm"), strict=True
+    panels, quantities, ("distance from\nthe path / mm", "force / N", "depth / mm"), strict=True
 ):
     panel.plot(found.time_s, each.values, color="#0072B2", label="trainee")
     if each.reference is not None:
@@ -69,5 +69,5 @@ for panel, each, label in zip(
     panel.grid(alpha=0.3)
 panels[1].legend(loc="upper right")
 panels[2].set(xlabel="time / s", ylim=(-3.0, None))
-panels[0].set_title("A novice on the wall against an expert, breaches shaded")
+panels[0].set_title("Novice against expert on a wall; shaded: above the limit")
 figure.savefig(FIGURES / "13_assessment.png", dpi=150)

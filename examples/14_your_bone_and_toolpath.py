@@ -83,7 +83,7 @@ for ((density, feed), cut), line in zip(cuts.items(), ("--", "-", "--", "-"), st
     axes.plot(
         cut.tip_mm[1:, 0], force[1:], line, color=colour, label=f"{density:g} kg/m³, {feed:g} mm/s"
     )
-axes.set(xlabel="place along the shaft / mm", ylabel="force on the burr / N", ylim=(0.0, None))
+axes.set(xlabel="position along the shaft / mm", ylabel="force on the burr / N", ylim=(0.0, None))
 axes.set_title("Ball burr of 4 mm along a wavy groove")
 axes.grid(alpha=0.3)
 axes.legend(ncols=2)

@@ -114,7 +114,7 @@ errors = [
     float(np.linalg.norm(force - prompt) / np.linalg.norm(prompt)) for force in (late, predicted)
 ]
 print(
-    f"{LATENCY_MS} ms late: off by {errors[0]:.1%} of the force, with the predictor by "
+    f"error with {LATENCY_MS} ms of latency: {errors[0]:.1%} of the force; with the predictor: "
     f"{errors[1]:.1%}"
 )
 assert abs(errors[0] - 0.042) < 0.004 and abs(errors[1] - 0.015) < 0.004
@@ -125,13 +125,13 @@ assert abs(errors[0] - 0.042) < 0.004 and abs(errors[1] - 0.015) < 0.004
 figure, axes = plt.subplots(figsize=(8.0, 4.2), layout="constrained")
 time_ms = np.arange(len(prompt))
 for force, look, label in (
-    (prompt, {"color": "0.15", "linewidth": 2.4}, "prompt"),
-    (late, {"color": "#D55E00", "linestyle": "--"}, f"{LATENCY_MS} ms late"),
-    (predicted, {"color": "#0072B2"}, "late, with the predictor"),
+    (prompt, {"color": "0.15", "linewidth": 2.4}, "no latency"),
+    (late, {"color": "#D55E00", "linestyle": "--"}, f"{LATENCY_MS} ms latency"),
+    (predicted, {"color": "#0072B2"}, "4 ms latency, with the predictor"),
 ):
     axes.plot(time_ms, force, label=label, **look)
 axes.set(xlabel="time / ms", ylabel="force at the device / N", xlim=(50, 450))
-axes.set_title("A shaken ball on a soft block")
+axes.set_title("Ball that a moving device presses into a soft block")
 axes.grid(alpha=0.3)
 axes.legend()
 figure.savefig(FIGURES / "16_force.png", dpi=150)

@@ -133,7 +133,7 @@ axes.fill_between(
     np.arange(len(unseen)), unseen.min(axis=1), unseen.max(axis=1), color="#0072B2", alpha=0.2
 )
 axes.plot(unseen.mean(axis=1), "-o", color="#0072B2", label="mean and range of 20 unseen episodes")
-axes.axhline(1.0, color="0.3", linestyle="--", linewidth=1.0, label="no policy is above")
+axes.axhline(1.0, color="0.3", linestyle="--", linewidth=1.0, label="largest possible score")
 axes.set(
     xlabel="generation of 16 policies, 3 episodes each", ylabel="score", xticks=range(len(unseen))
 )

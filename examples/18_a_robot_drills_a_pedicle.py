@@ -234,7 +234,7 @@ print(
     f"planned: {planned[end, 2]:.2f} mm deep, canal {planned[:, 3].min():.2f} mm away, "
     f"{1e3 * planned[:, 4].max():.1f} um off the axis"
 )
-print(f"aimed wrong: stopped at {aimed[-1, 2]:.2f} mm, canal {aimed[:, 3].min():.2f} mm away")
+print(f"wrong aim: stopped at {aimed[-1, 2]:.2f} mm, canal {aimed[:, 3].min():.2f} mm away")
 assert 22.0 < planned[:, 0].max() < 26.0
 assert 1.2 < planned[through, 2] < 1.6 and abs(stopped[2] - planned[through, 2]) < 0.05
 assert abs(planned[end, 2] - 15.0) < 0.05 and planned[:, 4].max() < 0.02
@@ -252,7 +252,7 @@ side.plot(*ENTRY_M[[0, 2]], "s", color="#8C6D46", markersize=14, zorder=0, label
 side.set(xlabel="x / m", ylabel="z / m", aspect="equal", title="arm at 15 mm of depth")
 side.legend(loc="lower left")
 panels = right.subplots(3, 1, sharex=True)
-for record, colour, name in ((planned, "#0072B2", "planned"), (aimed, "#CC79A7", "aimed wrong")):
+for record, colour, name in ((planned, "#0072B2", "planned"), (aimed, "#CC79A7", "wrong aim")):
     time_s = 1e-3 * np.arange(len(record))
     for panel, column in zip(panels, (0, 1, 3), strict=True):
         panel.plot(time_s, record[:, column], color=colour, label=name)
@@ -260,7 +260,7 @@ panels[0].axvline(1e-3 * through, color="0.5", linestyle=":")
 panels[0].annotate(
     "break-through", (1e-3 * through, 18.0), (2.6, 20.0), arrowprops={"arrowstyle": "->"}
 )
-panels[2].axhline(CLEAR_MM, color="0.5", linestyle="--", label="guarded distance")
+panels[2].axhline(CLEAR_MM, color="0.5", linestyle="--", label="allowed distance")
 for panel, label in zip(
     panels, ("thrust / N", "feed / mm/s", "distance from\nthe canal / mm"), strict=True
 ):

@@ -138,11 +138,11 @@ assert abs(found_mm + 20.0) < 2.0 and not loop.events
 figure, (top, bottom) = plt.subplots(2, 1, figsize=(7.5, 5.6), sharex=True, layout="constrained")
 top.plot(x_mm[slid], z_mm[slid], color="#0072B2", label="tip of the finger")
 top.axvspan(-29.0, -11.0, color="#D55E00", alpha=0.15, label="nodule, 8 mm under the surface")
-top.axvline(found_mm, color="#D55E00", linestyle="--", label="found")
+top.axvline(found_mm, color="#D55E00", linestyle="--", label="estimated centre")
 top.set(ylabel="height of the tip / mm")
 top.legend()
 bottom.plot(x_mm[slid], 1e3 * force_N[slid], color="#0072B2")
-bottom.axhline(1e3 * FORCE_N, color="0.4", linestyle=":", label="wanted")
+bottom.axhline(1e3 * FORCE_N, color="0.4", linestyle=":", label="target")
 bottom.set(xlabel="x / mm", ylabel="force / mN", ylim=(90.0, 110.0))
 bottom.legend()
 for panel in (top, bottom):

@@ -98,7 +98,7 @@ assert abs(tested.pvalue - 2.0 / 2**PEOPLE) < 1e-9
 figure, axes = plt.subplots(figsize=(5.0, 4.0), layout="constrained")
 for each in measured.values():
     axes.plot([0, 1], [each["full"], each["weak"]], "o-", color="#0072B2", alpha=0.7)
-axes.set_xticks([0, 1], ["full force", "a quarter of it"])
+axes.set_xticks([0, 1], ["full force", "a quarter of the force"])
 axes.set(xlim=(-0.3, 1.3), ylabel="peak force at the tool / N")
 axes.grid(axis="y", alpha=0.3)
 figure.savefig(FIGURES / "20_people.png", dpi=150)

@@ -63,8 +63,7 @@ if TYPE_CHECKING:
     from tissue.objects.assess import Assessment, Ranking, assess, rank
     from tissue.objects.bone import Bone
     from tissue.objects.comparison import compare
-    from tissue.objects.cut import Cut
-    from tissue.objects.cutting import feed_along
+    from tissue.objects.cutting import Cut, feed_along
     from tissue.objects.fit import Fit, fit
     from tissue.objects.loop import Loop
     from tissue.objects.materials import material, material_names
@@ -85,7 +84,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "Assessment": "tissue.objects.assess",
     "Bone": "tissue.objects.bone",
-    "Cut": "tissue.objects.cut",
+    "Cut": "tissue.objects.cutting",
     "DeviceParameters": "tissue.haptics.device.device",
     "Fit": "tissue.objects.fit",
     "Imported": "tissue.ct.importing",

@@ -14,10 +14,12 @@ import subprocess
 import sys
 from contextlib import suppress
 from importlib import import_module
+from io import BytesIO
 from pathlib import Path
 from threading import Event, Thread
 from time import monotonic
 from typing import IO, TYPE_CHECKING, Any
+from zipfile import BadZipFile
 
 from meshes.base.errors import DamagedFileError, InputError
 from meshes.base.file_limits import (
@@ -181,7 +183,7 @@ def _asked(request: str, limit_s: float, most_bytes: int) -> Answer:
         try:
             assert process.stdout is not None
             return _receive(process.stdout)
-        except (ValueError, MemoryError) as problem:
+        except (BadZipFile, EOFError, ValueError, MemoryError) as problem:
             with suppress(subprocess.TimeoutExpired):
                 process.wait(_LAST_S)  # the pipe closes before the process exits
             process.kill()
@@ -232,19 +234,13 @@ def _monitored(
 
 
 def _receive(answers: IO[bytes]) -> Answer:
-    """Read the result of the child process; raise ValueError if the result is incomplete."""
+    """Read the result of the child process, and raise an error if the result is incomplete."""
     import numpy as np
 
-    answer: Facts = json.loads(answers.readline() or b"{")
-    arrays = {}
-    for name, kind, shape in answer.get("arrays", ()):
-        array = np.empty(shape, dtype=np.dtype(kind))
-        if array.dtype.hasobject:
-            raise ValueError(kind)
-        if array.size and answers.readinto(array.reshape(-1).view(np.uint8).data) != array.nbytes:  # type: ignore[attr-defined]
-            raise ValueError(name)
-        arrays[name] = array
-    return answer, arrays
+    with np.load(BytesIO(answers.read()), allow_pickle=False) as stored:
+        answer, *arrays = (stored[name] for name in stored.files)
+    facts: Facts = json.loads(str(answer))
+    return facts, dict(zip(facts.pop("arrays"), arrays, strict=True))
 
 
 def _serve() -> None:
@@ -266,25 +262,20 @@ def _serve() -> None:
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # discard output of the libraries
     answer, arrays = _answer(request)
-    answer["arrays"] = [(key, each.dtype.str, each.shape) for key, each in arrays.items()]
-    answers.write(json.dumps(answer).encode() + b"\n")
-    for array in arrays.values():
-        if array.size:
-            answers.write(array.reshape(-1).view(np.uint8).data)
+    answer["arrays"] = list(arrays)
+    np.savez(answers, json.dumps(answer), *arrays.values())
     answers.flush()
     os._exit(0)  # exit at once; a library could hang in its cleanup after damaged input
 
 
 def _answer(request: str) -> Answer:
     """Run a parser, and return its values and arrays, or a description of its error."""
-    import numpy as np
-
     name, file, options, max_memory_GB = json.loads(request)
     module, function = name.split(":")
     try:
         with memory_limit(max_memory_GB):
             facts, arrays = getattr(import_module(module), function)(Path(file), **options)
-        contiguous = {key: np.ascontiguousarray(array) for key, array in arrays.items()}
+        return {"facts": facts}, arrays
     except InputError as problem:
         return {"refused": [str(field) for field in problem.args]}, {}
     except DamagedFileError as problem:
@@ -294,4 +285,3 @@ def _answer(request: str) -> Answer:
     # them must reach the parent process as an answer.
     except Exception:
         return {"problem": "it is damaged or cut off"}, {}
-    return {"facts": facts}, contiguous

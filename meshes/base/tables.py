@@ -96,15 +96,18 @@ class TextTable:
             )
         column = self.names.index(name)
         cells = [row[column].strip() for row in self.rows]
-        if cells and ":" in cells[0]:
-            return self._seconds(name, cells)
-        is_plain = self.marks == (".", "")
+        is_time = bool(cells) and ":" in cells[0]
+        convert = _date_s if is_time else self._number
         found = np.empty(len(cells))
         for row, cell in enumerate(cells):
             try:
-                found[row] = self._number(cell, is_plain=is_plain) if cell else np.nan
+                found[row] = convert(cell)
             except ValueError:
-                raise self._bad(name, cell, row) from None
+                text = f"{cell[:40]!r} for {name} in line {self.lines[row]} of {self.path.name}"
+                raise InputError(self.what, "hold numbers", text, _AGAIN) from None
+        if is_time and not (found > _DAY_S).any():
+            # Times of day start again at 0 at midnight.
+            found += _DAY_S * np.cumsum(np.diff(found, prepend=found[0]) < -0.5 * _DAY_S)
         return found
 
     def finite(self, name: str) -> Array:
@@ -124,35 +127,19 @@ class TextTable:
             raise InputError(self.what, "hold finite numbers", text, "fix that line")
         return found
 
-    def _number(self, cell: str, *, is_plain: bool) -> float:
-        """Return the number in a cell."""
+    def _number(self, cell: str) -> float:
+        """Convert a cell to a number. The number of an empty cell is NaN."""
+        if not cell:
+            return np.nan
+        decimal, thousands = self.marks
+        is_plain = self.marks == (".", "")
         if is_plain and cell.isascii() and " " not in cell and "'" not in cell:
             return number_in(cell)
-        decimal, thousands = self.marks
         if thousands:
             cell = cell.replace(thousands, "")
         if decimal == ",":
             cell = cell.replace(",", ".")
-        # a space that does not separate thousands is kept
         return number_in(_BETWEEN_DIGITS.sub("", cell))
-
-    def _seconds(self, name: str, cells: list[str]) -> Array:
-        """Return dates or times of day as seconds."""
-        found = np.empty(len(cells))
-        for row, cell in enumerate(cells):
-            try:
-                found[row] = _date_s(cell)
-            except ValueError:
-                raise self._bad(name, cell, row) from None
-        # a time of day restarts at midnight
-        if not (found > _DAY_S).any():
-            found += _DAY_S * np.cumsum(np.diff(found, prepend=found[0]) < -0.5 * _DAY_S)
-        return found
-
-    def _bad(self, name: str, cell: str, row: int) -> InputError:
-        # a cell of a damaged file may be very long
-        text = f"{cell[:40]!r} for {name} in line {self.lines[row]} of {self.path.name}"
-        return InputError(self.what, "hold numbers", text, _AGAIN)
 
 
 def _date_s(text: str) -> float:

@@ -6,7 +6,8 @@ import math
 import re
 import tomllib
 import unicodedata
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -59,20 +60,25 @@ def read_toml(text: str) -> dict[str, Any]:
         If the text is not valid TOML, is nested too deeply, or contains a number with thousands of
         digits.
     """
-    try:
+    with _limited(tomllib.TOMLDecodeError):
         table = tomllib.loads(text)
         require_shallow(table)
-    except tomllib.TOMLDecodeError:
+    return table
+
+
+@contextmanager
+def _limited(error: Callable[[str], Exception]) -> Iterator[None]:
+    """Raise an error of a format's own type for deep nesting and for numbers that are too long."""
+    try:
+        yield
+    except (tomllib.TOMLDecodeError, json.JSONDecodeError, UnicodeDecodeError):
         raise
     except RecursionError:
-        raise tomllib.TOMLDecodeError(
-            f"tables and lists within each other more than {DEEPEST} times"
-        ) from None
-    except ValueError as error:
+        raise error(f"tables and lists within each other more than {DEEPEST} times") from None
+    except ValueError as problem:
         # The number has too many digits. Only the part before the colon is used, because the rest
         # of Python's message recommends a Python call.
-        raise tomllib.TOMLDecodeError(str(error).split(":")[0]) from None
-    return table
+        raise error(str(problem).split(":")[0]) from None
 
 
 def read_json(text: str | bytes) -> Any:
@@ -83,18 +89,9 @@ def read_json(text: str | bytes) -> Any:
     json.JSONDecodeError
         If the text is not valid JSON or is nested too deeply.
     """
-    try:
+    with _limited(lambda text: json.JSONDecodeError(text, "", 0)):
         value = json.loads(text, parse_int=_whole_number)
         require_shallow(value)
-    except (json.JSONDecodeError, UnicodeDecodeError):
-        raise
-    except RecursionError:
-        raise json.JSONDecodeError(
-            f"tables and lists within each other more than {DEEPEST} times", "", 0
-        ) from None
-    except ValueError as error:
-        # as in `read_toml`
-        raise json.JSONDecodeError(str(error).split(":")[0], "", 0) from None
     return value
 
 

@@ -136,10 +136,6 @@ def imaged_anatomy(
         return layer, found
 
     notes = {
-        "unit": surface.report.unit_guess,
-        "site": site.confidence,
-        "surface": surface.report.source,
-        "repairs": " ".join(surface.report.repairs) or "none",
         "density": f"{density.source}: {values[values > 0].min():.0f} to {values.max():.0f} kg/m3, "
         "cortical from "
         f"{dense:g} kg/m3",
@@ -182,8 +178,6 @@ def cored_anatomy(
         return layer, np.where(layer == 0, np.float32(CORTICAL_KG_M3), np.float32(TRABECULAR_KG_M3))
 
     notes = {
-        "unit": surface.report.unit_guess,
-        "site": site.confidence,
         "surface": f"{surface.report.source} around {core.report.source}",
         "repairs": " ".join((*surface.report.repairs, *core.report.repairs)) or "none",
         "densities": (

@@ -12,7 +12,7 @@ import numpy as np
 from meshes.base.arrays import Array, Flags, Floats, Ints, Singles, box_of, enclosed_volume
 from meshes.base.errors import InputError, counted
 from meshes.images.bone_image import image_cuts, image_triangles
-from meshes.images.frame import Image, part_of
+from meshes.images.frame import Image
 
 __all__ = [
     "BoneOfImage",
@@ -170,7 +170,7 @@ def cropped(image: Image, box_mm: Box) -> Image:
             ),
             "choose corners inside the image",
         )
-    return part_of(image, tuple(map(slice, first.tolist(), last.tolist())))
+    return image.part(tuple(map(slice, first.tolist(), last.tolist())))
 
 
 def by_label(image: Image, mask: Flags) -> BoneOfImage:
@@ -240,7 +240,7 @@ def _laid(part: Image, field: Singles, level: float, other: float, voxels: int) 
             f"The bone is cut off at {counted(len(cuts), 'place')} by the edge of the image "
             "or of the crop."
         )
-    marked_mm3 = voxels * float(np.prod(part.spacing_mm))
+    marked_mm3 = voxels * part.voxel_mm3
     return BoneOfImage(
         part, field, level, image_triangles(imaged, threshold=level), cuts, tuple(notes), marked_mm3
     )
@@ -249,7 +249,7 @@ def _laid(part: Image, field: Singles, level: float, other: float, voxels: int) 
 def _around(image: Image, mask: Flags) -> tuple[Image, Flags]:
     """Return the part of an image around a mask, and the corresponding part of the mask."""
     box = box_of(mask, MARGIN)
-    return part_of(image, box), np.ascontiguousarray(mask[box])
+    return image.part(box), np.ascontiguousarray(mask[box])
 
 
 def largest_component(mask: Flags, source: str) -> tuple[Flags, float]:
@@ -330,7 +330,7 @@ def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints]
             "widen the crop, or leave this label out",
         )
     box = box_of(mask, KEPT_MARGIN)
-    part = part_of(replace(image, values=mask.view(np.uint8)), box)
+    part = replace(image, values=mask.view(np.uint8)).part(box)
     mask = mask[box]
     pieces, count = label(mask, np.ones((3, 3, 3)))
     field = np.full(mask.shape, -1.0, dtype=np.float32)
@@ -343,7 +343,7 @@ def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints]
     smooth = replace(part, values=field)
     notes = []
     if count > 1:
-        voxel_ml = 1e-3 * float(np.prod(image.spacing_mm))
+        voxel_ml = 1e-3 * image.voxel_mm3
         sizes = voxel_ml * np.sort(np.bincount(pieces.ravel())[1:])[::-1]
         listed = ", ".join(f"{size:.3g}" for size in sizes[:_LISTED])
         more = "" if count <= _LISTED else f" and {counted(count - _LISTED, 'smaller one')}"

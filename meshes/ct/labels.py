@@ -302,8 +302,8 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
             f"{one.source} has {by(one.values.shape)} voxels of {by(one.spacing_mm, '.4g')} mm: "
             f"each voxel of {other.source} takes the nearest label."
         )
-    before = np.count_nonzero(one.values) * float(np.prod(one.spacing_mm))
-    left = np.count_nonzero(values) * float(np.prod(other.spacing_mm))
+    before = np.count_nonzero(one.values) * one.voxel_mm3
+    left = np.count_nonzero(values) * other.voxel_mm3
     if left < (1.0 - _LOST) * before:
         lost = 1.0 - left / before
         notes.append(f"{lost:.0%} of the labels of {one.source} lie outside {other.source}.")

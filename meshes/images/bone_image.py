@@ -74,12 +74,7 @@ def image_volume(
     values = _refined(image.values, image.spacing_mm, spacing)
     fraction = (values > limit).astype(np.float32)
     if not fraction.any():
-        raise InputError(
-            "anatomy.threshold",
-            "leave bone",
-            f"{limit:g} where {image.source} holds {values.min():g} to {values.max():g}",
-            "use a threshold between these two values",
-        )
+        raise _no_bone(limit, values, image.source)
     # A value outside this range has another unit, such as g/cm3.
     mass = fraction * (
         density_kg_m3(values)
@@ -105,6 +100,16 @@ def image_volume(
         np.ascontiguousarray(np.rint(density), dtype=np.uint16),
         ("trabecular",),
         Placement(corner_mm - 1e3 * origin, np.eye(3)),
+    )
+
+
+def _no_bone(threshold: float, values: Numbers, source: str) -> InputError:
+    """Return the error for a threshold above all grey values."""
+    return InputError(
+        "anatomy.threshold",
+        "leave bone",
+        f"{threshold:g} where {source} holds {values.min():g} to {values.max():g}",
+        "use a threshold between these two values",
     )
 
 
@@ -188,12 +193,7 @@ def image_triangles(image: Image, *, threshold: float) -> tuple[Array, Ints]:
 
     values = image.values.astype(np.float32)
     if not values.max() > threshold:
-        raise InputError(
-            "anatomy.threshold",
-            "leave bone",
-            f"{threshold:g} where {image.source} holds {values.min():g} to {values.max():g}",
-            "use a threshold between these two values",
-        )
+        raise _no_bone(threshold, values, image.source)
     # The densest bone at the edge then ends half a voxel outside the last voxel centre, which is
     # the end of its voxel.
     outside = min(float(values.min()), 2.0 * threshold - float(values.max()))

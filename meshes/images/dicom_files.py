@@ -249,16 +249,15 @@ def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
         return [(path, path.name)], []
     folder = path if is_folder(path) else path.parent
     files = files_in(folder)
-    places = [
-        f"file {number} of {len(files)} in the order of names in {folder.name}"
-        for number in range(1, len(files) + 1)
-    ]
-    kinds = [is_dicom(file) for file in files]
-    found = [(file, place) for file, place, kind in zip(files, places, kinds, strict=True) if kind]
-    named = {(file.parent, file.suffix.lower()) for file, _ in found if file.suffix}
-    for file, place, kind in zip(files, places, kinds, strict=True):
-        # a slice that was overwritten or is empty must not be ignored silently
-        if not kind and (file.parent, file.suffix.lower()) in named:
+    places = {
+        file: f"file {number} of {len(files)} in the order of names in {folder.name}"
+        for number, file in enumerate(files, start=1)
+    }
+    found = {file: place for file, place in places.items() if is_dicom(file)}
+    named = {(file.parent, file.suffix.lower()) for file in found if file.suffix}
+    for file, place in places.items():
+        # A slice that was overwritten or is empty must not be ignored silently.
+        if file not in found and (file.parent, file.suffix.lower()) in named:
             raise InputError(
                 "a DICOM folder",
                 "hold DICOM files only",
@@ -274,7 +273,7 @@ def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
         )
     others = len(files) - len(found)
     notes = [f"Left out {counted(others, 'file')} of {folder.name} of another kind than DICOM."]
-    return found, notes if others else []
+    return list(found.items()), notes if others else []
 
 
 def files_in(folder: Path) -> list[Path]:

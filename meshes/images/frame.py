@@ -7,10 +7,10 @@ the head, in mm.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import permutations
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array, Numbers, Singles
 from meshes.base.errors import InputError, by, in_brackets
 
-__all__ = ["Image", "StoredImage", "along_lps", "part_of"]
+__all__ = ["Image", "StoredImage", "along_lps"]
 
 Kind = TypeVar("Kind", bound=np.generic)
 _FARTHEST_VOXELS = 0.01
@@ -56,7 +56,7 @@ class Image:
     Attributes
     ----------
     values
-        Grey values or labels, shape (nx, ny, nz), with any real type and memory order.
+        Grey values, labels or flags, shape (nx, ny, nz), with any real type and memory order.
     spacing_mm
         Distance between neighbours along x, y and z [mm].
     source
@@ -67,11 +67,26 @@ class Image:
         Centre of voxel (0, 0, 0) [mm, LPS].
     """
 
-    values: Numbers
+    values: NDArray[Any]
     spacing_mm: tuple[float, float, float]
     source: str
     notes: tuple[str, ...]
     origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def voxel_mm3(self) -> float:
+        """Volume of a voxel [mm3]."""
+        return float(np.prod(self.spacing_mm))
+
+    def starting_at(self, first: Sequence[int], values: NDArray[Any]) -> "Image":
+        """Return an image of `values` that starts at the voxel with the index `first`."""
+        x, y, z = np.add(self.origin_mm, np.multiply(self.spacing_mm, first)).tolist()
+        return replace(self, values=values, origin_mm=(x, y, z))
+
+    def part(self, box: tuple[slice, ...]) -> "Image":
+        """Return a part of the image as a copy. The slices must have a start."""
+        values = np.ascontiguousarray(self.values[box])
+        return self.starting_at([each.start for each in box], values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,15 +308,3 @@ def _require_frame(stored: StoredImage, source: str) -> None:
 def _triple(numbers: Array) -> tuple[float, float, float]:
     x, y, z = (float(number) + 0.0 for number in numbers)  # no minus sign before a zero
     return x, y, z
-
-
-def part_of(image: Image, box: tuple[slice, ...]) -> Image:
-    """Return the part of an image that index slices select, with the origin of this part.
-
-    Each slice must have a start.
-    """
-    x, y, z = (
-        o + s * each.start
-        for o, s, each in zip(image.origin_mm, image.spacing_mm, box, strict=True)
-    )
-    return replace(image, values=np.ascontiguousarray(image.values[box]), origin_mm=(x, y, z))

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Numbers
 from meshes.base.errors import InputError, by, is_file, is_folder, require_positive
 from meshes.base.file_limits import require_regular
 from meshes.base.isolated_parser import Answer, parse_isolated
@@ -346,18 +346,18 @@ def stored_image(
         if planes and given is not None
         else _stored(path, series)
     )
+    notes = [*stored.notes]
     if given is None and stored.spacing_mm == (1.0, 1.0, 1.0):
-        note = (
+        notes.append(
             f"The spacing in {source} is exactly 1 mm, often a placeholder: set "
             "anatomy.spacing_mm to be sure."
         )
-        stored = replace(stored, notes=(*stored.notes, note))
     elif given is not None and stored.spacing_mm != given:
         used = f"{given[0]:g}" if len(set(given)) == 1 else by(given)
-        note = (
+        notes.append(
             f"The spacing in {source} is {by(stored.spacing_mm)} mm; {used} mm is used, as given."
         )
-        stored = replace(stored, spacing_mm=given, notes=(*stored.notes, note))
+    spacing = given or stored.spacing_mm
     values = stored.values
     if values.size == 0 or not np.issubdtype(values.dtype, np.number):
         raise InputError(
@@ -367,23 +367,22 @@ def stored_image(
             _REMEDY,
         )
     if np.issubdtype(values.dtype, np.floating) and not np.isfinite(values).all():
-        stored = _without_nan(stored, source, labels)
-    longest = max(np.multiply(values.shape[-3:], stored.spacing_mm))
+        values, note = _without_nan(values, source, labels)
+        notes.append(note)
+    longest = max(np.multiply(values.shape[-3:], spacing))
     if longest < _SHORTEST_MM and given is None:
-        note = (
+        notes.append(
             f"{source} is {longest:.3g} mm long in all, as if its header were in "
             "metres: give the spacing in mm if this is so."
         )
-        stored = replace(stored, notes=(*stored.notes, note))
-    return stored
+    return replace(stored, values=values, spacing_mm=spacing, notes=tuple(notes))
 
 
-def _without_nan(stored: StoredImage, source: str, labels: bool) -> StoredImage:
-    """Replace NaN, which marks voxels outside the scan.
+def _without_nan(values: Numbers, source: str, labels: bool) -> tuple[Numbers, str]:
+    """Replace NaN, which marks voxels outside the scan, and return a note.
 
     Grey values become the lowest value of the image, and labels become 0.
     """
-    values = stored.values
     missing = np.isnan(values)
     if missing.all() or not np.isfinite(values[~missing]).all():
         count = int((~np.isfinite(values)).sum())
@@ -396,7 +395,7 @@ def _without_nan(stored: StoredImage, source: str, labels: bool) -> StoredImage:
     filled = np.where(missing, 0 if labels else values[~missing].min(), values)
     what = "have no label" if labels else "take the lowest value"
     note = f"{missing.mean():.1%} of the voxels of {source} are not a number: they {what}."
-    return replace(stored, values=filled.astype(values.dtype), notes=(*stored.notes, note))
+    return filled.astype(values.dtype), note
 
 
 def _given_spacing(spacing_mm: Spacing) -> tuple[float, float, float]:

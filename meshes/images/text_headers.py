@@ -34,6 +34,15 @@ _UNITS_MM = {
 }
 
 
+_BYTES = {
+    **dict.fromkeys(("char", "int8"), 1),
+    **dict.fromkeys(("short", "int16"), 2),
+    **dict.fromkeys(("int", "int32", "long"), 4),
+    **dict.fromkeys(("longlong", "long long", "int64"), 8),
+}
+"""Number of bytes of each integer type. LONG of a MetaImage has four bytes on every machine."""
+
+
 def header_lines(path: Path, separator: str, last: str) -> tuple[dict[str, str], int]:
     """Read the lines of a header, each of the form `key separator value`.
 
@@ -116,6 +125,19 @@ def _unit_mm(words: Sequence[str], path: Path) -> float:
     return length
 
 
+def _code(name: str) -> str | None:
+    """Return the NumPy code of a type that a header names, without byte order; None if unknown.
+
+    Names of both formats are known, such as ``unsigned short int``, ``uint16_t``, ``ULONG_LONG``.
+    """
+    name = name.lower().replace("_t", "").replace("_", " ").removeprefix("signed ")
+    plain = name.removeprefix("unsigned ").removeprefix("u")
+    count = _BYTES.get(plain.removesuffix(" int"))
+    if count is None:
+        return {"float": "f4", "double": "f8"}.get(name)
+    return f"i{count}" if plain == name else f"u{count}"
+
+
 def _data_file(path: Path, name: str, start: int) -> tuple[Path, int]:
     """Return the file that contains the voxels, and the byte at which the voxels begin."""
     if not name:
@@ -153,17 +175,6 @@ def _short(text: str) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-_META_TYPES = {
-    "CHAR": "i1",
-    "SHORT": "i2",
-    "INT": "i4",
-    "LONG": "i4",
-    "LONG_LONG": "i8",
-    "FLOAT": "f4",
-    "DOUBLE": "f8",
-}
-"""NumPy type of each MetaImage type. MET_LONG has four bytes on every machine."""
-_META_TYPES |= {f"U{name}": f"u{code[1]}" for name, code in _META_TYPES.items() if code[0] == "i"}
 _BYTE_ORDERS = ("binarydatabyteordermsb", "elementbyteordermsb")
 _DIRECTIONS = ("transformmatrix", "rotation", "orientation")
 _PLACES = ("offset", "position", "origin")
@@ -215,7 +226,7 @@ def _meta_voxels(fields: Fields, path: Path, start: int) -> Numbers:
     if not _is_true(fields, "binarydata", "True"):
         raise _fault(path, "BinaryData", "be True", fields["binarydata"])
     size = numbers(fields, "dimsize", path) or []
-    kind = _META_TYPES.get(fields.get("elementtype", "").removeprefix("MET_"))
+    kind = _code(fields.get("elementtype", "").removeprefix("MET_"))
     if len(size) != 3 or any(n < 1 or n != int(n) for n in size) or kind is None:
         found = f"{fields.get('dimsize')} and {fields.get('elementtype')}"
         raise _fault(path, "DimSize", "be three counts and ElementType one real number", found)
@@ -236,20 +247,6 @@ def _is_true(fields: Fields, key: str, absent: str) -> bool:
     return fields.get(key, absent).lower() in ("true", "1", "t")
 
 
-_NRRD_TYPES = {
-    **dict.fromkeys(("char", "int8", "int8_t"), "i1"),
-    **dict.fromkeys(("uchar", "unsigned char", "uint8", "uint8_t"), "u1"),
-    **dict.fromkeys(("short", "short int", "int16", "int16_t"), "i2"),
-    **dict.fromkeys(("ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"), "u2"),
-    **dict.fromkeys(("int", "int32", "int32_t"), "i4"),
-    **dict.fromkeys(("uint", "unsigned int", "uint32", "uint32_t"), "u4"),
-    **dict.fromkeys(("longlong", "long long", "long long int", "int64", "int64_t"), "i8"),
-    **dict.fromkeys(
-        ("ulonglong", "unsigned long long", "unsigned long long int", "uint64", "uint64_t"), "u8"
-    ),
-    "float": "f4",
-    "double": "f8",
-}
 _PATIENT = {
     **dict.fromkeys(("left-posterior-superior", "lps"), (1.0, 1.0, 1.0)),
     **dict.fromkeys(("right-anterior-superior", "ras"), (-1.0, -1.0, 1.0)),
@@ -354,7 +351,7 @@ def _require_axes(fields: Fields, space: str, path: Path) -> None:
 def _nrrd_voxels(fields: Fields, layers: tuple[int, str] | None, path: Path, start: int) -> Numbers:
     """Read the voxels of a NRRD image, with the layers as the first axis."""
     size = numbers(fields, "sizes", path, positive=True) or []
-    kind = _NRRD_TYPES.get(fields.get("type", "").lower().removeprefix("signed "))
+    kind = _code(fields.get("type", ""))
     if len(size) != 3 or any(n != int(n) for n in size) or kind is None:
         found = f"{fields.get('sizes', 'nothing')} and {fields.get('type', 'nothing')}"
         raise _fault(path, "sizes", "be three whole numbers and type one real number", found)

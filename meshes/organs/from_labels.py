@@ -20,7 +20,6 @@ from meshes.base.arrays import (
     Array,
     Flags,
     Ints,
-    Singles,
     Triangles,
     box_of,
     enclosed_volume,
@@ -28,6 +27,7 @@ from meshes.base.arrays import (
 from meshes.base.errors import InputError, by, counted, names_of_caller, require_range
 from meshes.base.progress import Progress, silent
 from meshes.ct.labels import Labels
+from meshes.images.frame import Image
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.tets.quality import describe, repair_tets
 from meshes.tets.stuffing import with_inclusion
@@ -36,7 +36,7 @@ from meshes.tets.tetrahedralise import FILL_EDGES, tetrahedralise, with_volume
 from meshes.voxels.label_shares import spread_labels
 from meshes.voxels.mesh_sampling import nearest_on_triangles
 
-__all__ = ["LabelGrid", "LabelledOrgan", "label_triangles", "labelled_organ", "organ_mesh"]
+__all__ = ["LabelledOrgan", "label_triangles", "labelled_organ", "organ_mesh"]
 
 _PER_RADIUS = 1.0 / 3.0
 """Standard deviation of the smoothing, relative to the radius of the largest ball in the label.
@@ -65,36 +65,7 @@ The volume error is relative to the volume of the voxels.
 """
 
 
-@dataclass(frozen=True)
-class LabelGrid:
-    """Position of the voxels of a label image.
-
-    Attributes
-    ----------
-    spacing_mm
-        Distance between neighbours along x, y and z [mm].
-    origin_mm
-        Centre of voxel (0, 0, 0) [mm].
-    """
-
-    spacing_mm: tuple[float, float, float]
-    origin_mm: tuple[float, float, float]
-
-    @property
-    def voxel_mm3(self) -> float:
-        """Volume of a voxel [mm3]."""
-        return float(np.prod(self.spacing_mm))
-
-    def within(self, first: tuple[int, ...]) -> "LabelGrid":
-        """Return the grid that starts at the voxel with the index `first` of this grid."""
-        x, y, z = (
-            start + side * index
-            for start, side, index in zip(self.origin_mm, self.spacing_mm, first, strict=True)
-        )
-        return LabelGrid(self.spacing_mm, (x, y, z))
-
-
-def label_triangles(mask: Flags, grid: LabelGrid) -> Triangles | None:
+def label_triangles(label: Image) -> Triangles | None:
     """Return the smooth closed surface of a label, with outward normals.
 
     The result consists of vertices [m], shape (n, 3), and triangles, shape (m, 3).
@@ -106,10 +77,8 @@ def label_triangles(mask: Flags, grid: LabelGrid) -> Triangles | None:
 
     Parameters
     ----------
-    mask
-        Mask of the label's voxels.
-    grid
-        Position of the voxels.
+    label
+        Mask of the label's voxels, with their position.
 
     Returns
     -------
@@ -119,13 +88,13 @@ def label_triangles(mask: Flags, grid: LabelGrid) -> Triangles | None:
 
     # Add two more voxels outside, so that the surface is closed for every level in use.
     pad = int(np.ceil(_REACH * _DEVIATIONS[1])) + 2
-    crop = box_of(mask)
-    padded = np.pad(mask[crop], pad)
+    crop = box_of(label.values)
+    padded = np.pad(label.values[crop], pad)
     radius = float(distance_transform_edt(padded).max())
     deviation = float(np.clip(_PER_RADIUS * radius, *_DEVIATIONS))
     share = spread_labels(padded.astype(np.float32), deviation)
-    place = grid.within(tuple(each.start - pad for each in crop))
-    wanted_m3 = 1e-9 * grid.voxel_mm3 * float(np.count_nonzero(mask))
+    smooth = label.starting_at([each.start - pad for each in crop], share)
+    wanted_m3 = _volume_m3(label)
     low = _LEVELS[0]
     high = min(_LEVELS[1], float(share.max()))
     if low >= high:
@@ -134,7 +103,7 @@ def label_triangles(mask: Flags, grid: LabelGrid) -> Triangles | None:
     level = min(0.5, 0.5 * (low + high))
     before = (0.0, 0.0)
     for attempt in range(_TRIES):
-        found = _level(share, level, place)
+        found = _level(smooth, level)
         off = enclosed_volume(*found) / wanted_m3 - 1.0
         if abs(off) < _CLOSE:
             break
@@ -147,11 +116,16 @@ def label_triangles(mask: Flags, grid: LabelGrid) -> Triangles | None:
     return found
 
 
-def _level(share: Singles, level: float, grid: LabelGrid) -> Triangles:
+def _volume_m3(mask: Image) -> float:
+    """Return the volume of the voxels of a mask [m3]."""
+    return 1e-9 * mask.voxel_mm3 * float(np.count_nonzero(mask.values))
+
+
+def _level(smooth: Image, level: float) -> Triangles:
     from skimage.measure import marching_cubes
 
-    vertices, faces, _, _ = marching_cubes(share, level, spacing=grid.spacing_mm)
-    vertices = 1e-3 * (vertices.astype(np.float64) + grid.origin_mm)
+    vertices, faces, _, _ = marching_cubes(smooth.values, level, spacing=smooth.spacing_mm)
+    vertices = 1e-3 * (vertices.astype(np.float64) + smooth.origin_mm)
     return vertices, faces[:, ::-1].astype(np.int64)
 
 
@@ -181,25 +155,22 @@ class LabelledOrgan:
     name
         Name of the organ's label.
     solid
-        Mask of the voxels of the organ and its parts.
+        Mask of the voxels of the organ and its parts, with their position.
     parts
         Mask of the voxels of each part, by name of the part, in order of precedence.
-    grid
-        Position of the voxels.
     notes
         Notes on findings and assumptions, by the name of the organ or part to which they refer.
     """
 
     name: str
-    solid: Flags
+    solid: Image
     parts: dict[str, Flags]
-    grid: LabelGrid
     notes: dict[str, str]
 
     @cached_property
     def surface(self) -> Surface:
         """Smooth surface of the organ, in the frame of the image."""
-        found = label_triangles(self.solid, self.grid)
+        found = label_triangles(self.solid)
         if found is None:
             raise InputError(
                 self.name,
@@ -227,7 +198,7 @@ class LabelledOrgan:
         edge = require_range("edge_mm", edge, longest / 100.0, longest / 4.0, f"use {usual:.2g}")
         with names_of_caller({"edge_m": "edge_mm"}):
             filled, _ = tetrahedralise(self.surface, edge_m=1e-3 * edge, report=report)
-        organ_m3 = 1e-9 * self.grid.voxel_mm3 * float(np.count_nonzero(self.solid))
+        organ_m3 = _volume_m3(self.solid)
         mesh, notes = self._with_parts(replace(filled, part_names=(self.name,)), edge, report)
         mesh = with_volume(mesh, organ_m3, within_m=1e-3 * edge)
         off = float(mesh.volumes_m3.sum()) / organ_m3 - 1.0
@@ -240,8 +211,8 @@ class LabelledOrgan:
     ) -> tuple[TetMesh, dict[str, str]]:
         """Add the parts to the mesh, and return the mesh and a note on each part."""
         notes = {}
-        before = np.zeros(self.solid.shape, dtype=bool)
-        beyond = _BEYOND + int(np.ceil(_ENVELOPE * edge_mm / min(self.grid.spacing_mm)))
+        before = np.zeros(self.solid.values.shape, dtype=bool)
+        beyond = _BEYOND + int(np.ceil(_ENVELOPE * edge_mm / min(self.solid.spacing_mm)))
         vertices = self.surface.vertices_m
         faces = self.surface.faces
 
@@ -254,7 +225,7 @@ class LabelledOrgan:
                 f"cutting {name} out of the tetrahedra",
                 len(mesh.part_names) / (len(self.parts) + 1),
             )
-            surface = _part_triangles(mask, self.solid, before, self.grid, beyond)
+            surface = _part_triangles(mask, self.solid, before, beyond)
             if surface is None:
                 raise InputError(
                     name,
@@ -262,7 +233,7 @@ class LabelledOrgan:
                     "a thinner label",
                     "leave it out, or segment a finer image",
                 )
-            volume_m3 = 1e-9 * self.grid.voxel_mm3 * float(np.count_nonzero(mask))
+            volume_m3 = _volume_m3(replace(self.solid, values=mask))
             mesh, size = with_inclusion(mesh, name, *surface, volume_m3=volume_m3, onto=onto)
             notes[name] = " ".join(each for each in (f"{size}.", self.notes.get(name, "")) if each)
             before |= mask
@@ -318,23 +289,17 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
             twice[0],
             "name this label only once",
         )
-    grid = LabelGrid(labels.image.spacing_mm, labels.image.origin_mm)
     whole = labels.mask(organ)
     masks = {name: labels.mask(name) for name in parts}
     body = np.logical_or.reduce([whole, *masks.values()])
     # An empty layer is kept around the organ, except at the edges of the image.
     crop = box_of(body, 1)
-    grid = grid.within(tuple(each.start for each in crop))
-    solid, notes = _one_piece(body[crop], whole[crop], grid, organ)
-    found = {
-        name: _pieces(name, mask[crop], solid, organ, grid, notes) for name, mask in masks.items()
-    }
-    return LabelledOrgan(organ, solid, found, grid, notes)
+    solid, notes = _one_piece(replace(labels.image, values=body).part(crop), whole[crop], organ)
+    found = {name: _pieces(name, mask[crop], solid, organ, notes) for name, mask in masks.items()}
+    return LabelledOrgan(organ, solid, found, notes)
 
 
-def _one_piece(
-    body: Flags, organ: Flags, grid: LabelGrid, name: str
-) -> tuple[Flags, dict[str, str]]:
+def _one_piece(body: Image, organ: Flags, name: str) -> tuple[Image, dict[str, str]]:
     """Return the piece that contains most of the organ's label, with cavities filled, and notes.
 
     The notes describe the other pieces and the edge of the image.
@@ -342,24 +307,23 @@ def _one_piece(
     from scipy.ndimage import binary_fill_holes, label
 
     notes = []
-    pieces = label(body)[0]
+    pieces = label(body.values)[0]
     sizes = np.bincount(pieces[organ])
-    solid: Flags = pieces == int(sizes.argmax())
-    dropped_ml = 1e-3 * grid.voxel_mm3 * int(np.count_nonzero(body) - np.count_nonzero(solid))
+    solid = replace(body, values=pieces == int(sizes.argmax()))
+    filled = replace(body, values=np.asarray(binary_fill_holes(solid.values), dtype=bool))
+    dropped_ml = 1e6 * (_volume_m3(body) - _volume_m3(solid))
+    hollow_ml = 1e6 * (_volume_m3(filled) - _volume_m3(solid))
     if dropped_ml:
         loose = counted(int(pieces.max()) - 1, "loose piece")
         notes.append(f"Left out {dropped_ml:.3g} ml in {loose}.")
-    filled = np.asarray(binary_fill_holes(solid), dtype=bool)
-    hollow = int(np.count_nonzero(filled) - np.count_nonzero(solid))
-    if hollow:
-        notes.append(f"Filled hollows without a label, {1e-3 * grid.voxel_mm3 * hollow:.3g} ml.")
-    notes += _ends(filled, grid)
-    millilitres = 1e-3 * grid.voxel_mm3 * np.count_nonzero(filled)
-    size = f"{millilitres:.4g} ml in voxels of {by(grid.spacing_mm, '.3g')} mm."
+    if hollow_ml:
+        notes.append(f"Filled hollows without a label, {hollow_ml:.3g} ml.")
+    notes += _ends(filled)
+    size = f"{1e6 * _volume_m3(filled):.4g} ml in voxels of {by(body.spacing_mm, '.3g')} mm."
     return filled, {name: " ".join((size, *notes))}
 
 
-def _ends(solid: Flags, grid: LabelGrid) -> list[str]:
+def _ends(solid: Image) -> list[str]:
     """Return notes on the ends of an organ.
 
     The notes state where the edge of the image cuts off the organ, and where its labels may be
@@ -368,14 +332,14 @@ def _ends(solid: Flags, grid: LabelGrid) -> list[str]:
     notes = []
     cut_mm2 = 0.0
     for axis, name in enumerate("xyz"):
-        layers = np.count_nonzero(solid, axis=tuple(each for each in range(3) if each != axis))
-        area_mm2 = grid.voxel_mm3 / grid.spacing_mm[axis] * layers
+        layers = np.count_nonzero(solid.values, axis=tuple({0, 1, 2} - {axis}))
+        area_mm2 = solid.voxel_mm3 / solid.spacing_mm[axis] * layers
         filled = np.flatnonzero(layers)
         for end, last in ((0, filled[0]), (len(layers) - 1, filled[-1])):
             if last == end:
                 cut_mm2 += float(area_mm2[end])
             elif layers[last] > _FLAT_END * layers.max():
-                at = grid.origin_mm[axis] + grid.spacing_mm[axis] * last
+                at = solid.origin_mm[axis] + solid.spacing_mm[axis] * last
                 notes.append(
                     f"It ends flat at {name} = {at:.4g} mm, with "
                     f"{area_mm2[last] / 100.0:.3g} cm2: the labels may end "
@@ -390,16 +354,14 @@ def _ends(solid: Flags, grid: LabelGrid) -> list[str]:
     return notes
 
 
-def _pieces(
-    name: str, mask: Flags, solid: Flags, organ: str, grid: LabelGrid, notes: dict[str, str]
-) -> Flags:
+def _pieces(name: str, mask: Flags, solid: Image, organ: str, notes: dict[str, str]) -> Flags:
     """Return the voxels of a part in the organ, without pieces that are too small for a surface.
 
     Notes on problems are added to `notes`.
     """
     from scipy.ndimage import binary_dilation, label
 
-    inside = mask & solid
+    inside = mask & solid.values
     if not inside.any():
         raise InputError(
             name,
@@ -421,13 +383,13 @@ def _pieces(
         )
     remarks = []
     if small.any():
-        left = 1e-3 * grid.voxel_mm3 * int(sizes[small].sum())
+        left = 1e-3 * solid.voxel_mm3 * int(sizes[small].sum())
         pieces_left = counted(int(small.sum()), "piece")
         remarks.append(
             f"{pieces_left} of fewer than {_FEWEST_VOXELS} voxels, {left:.2g} ml, left to {organ}."
         )
     shell = binary_dilation(kept) & ~kept
-    outside = int(np.count_nonzero(shell & ~solid)) / max(int(np.count_nonzero(shell)), 1)
+    outside = int(np.count_nonzero(shell & ~solid.values)) / max(int(np.count_nonzero(shell)), 1)
     if outside:
         remarks.append(
             f"{outside:.0%} of its surface is that of {organ}: crop its label if it should "
@@ -439,7 +401,7 @@ def _pieces(
 
 
 def _part_triangles(
-    mask: Flags, solid: Flags, before: Flags, grid: LabelGrid, beyond: int
+    mask: Flags, solid: Image, before: Flags, beyond: int
 ) -> tuple[Array, Ints] | None:
     """Extend the label of a part, and return the surface of the extended label.
 
@@ -455,7 +417,7 @@ def _part_triangles(
         (max(-low, 0), max(high - size, 0))
         for (low, high), size in zip(box, mask.shape, strict=True)
     ]
-    inside, body, taken = (np.pad(each[crop], padding) for each in (mask, solid, before))
+    inside, body, taken = (np.pad(each[crop], padding) for each in (mask, solid.values, before))
     away, nearest = distance_transform_edt(~body | taken, return_indices=True)
     goes_on = inside[tuple(nearest)] & (body | (away <= beyond))
-    return label_triangles(goes_on, grid.within(tuple(low for low, _ in box)))
+    return label_triangles(solid.starting_at([low for low, _ in box], goes_on))

@@ -7,7 +7,6 @@ error that names the word.
 """
 
 import re
-from dataclasses import dataclass, field
 from math import acos, atan2, ceil, cos, hypot, isclose, nan, pi, sin, sqrt
 from pathlib import Path
 
@@ -81,41 +80,42 @@ _PLANES = {"G17": ("X", "Y", "Z"), "G18": ("Z", "X", "Y"), "G19": ("Y", "Z", "X"
 _OFFSETS = {"X": "I", "Y": "J", "Z": "K"}
 
 
-@dataclass(eq=False)
 class Program:
     """Points of a program, and the state of the controller between two lines of the program.
 
-    Attributes
+    Parameters
     ----------
     file
         File name for messages.
+
+    Attributes
+    ----------
     points_mm
         Points [mm] in the order of the program, in the frame of the program.
     feeds_mm_s
         Speed to each point [mm/s], NaN for rapid moves.
     """
 
-    file: Path
-    points_mm: list[list[float]] = field(default_factory=list, init=False)
-    feeds_mm_s: list[float] = field(default_factory=list, init=False)
-    _modes: dict[str, str] = field(
-        # no motion mode before the first motion word, because the defaults of controllers differ
-        default_factory=lambda: {
+    def __init__(self, file: Path) -> None:
+        self.points_mm: list[list[float]] = []
+        self.feeds_mm_s: list[float] = []
+        self._file = file
+        # There is no motion mode before the first motion word, because the defaults of controllers
+        # differ.
+        self._modes = {
             "motion": "",
             "plane": "G17",
             "unit": "",
             "distance": "G90",
             "centre": "G91.1",
-        },
-        init=False,
-    )
-    _place: dict[str, float] = field(default_factory=dict, init=False)
-    _feed_mm_s: float = field(default=0.0, init=False)
-    _left_out: set[str] = field(default_factory=set, init=False)
-    _homes: set[str] = field(default_factory=set, init=False)
-    _offset: str = field(default="", init=False)
-    _arcs: int = field(default=0, init=False)
-    _line: int = field(default=0, init=False)
+        }
+        self._place: dict[str, float] = {}
+        self._feed_mm_s = 0.0
+        self._left_out: set[str] = set()
+        self._homes: set[str] = set()
+        self._offset = ""
+        self._arcs = 0
+        self._line = 0
 
     def notes(self) -> tuple[str, ...]:
         """Return sentences on words that were ignored, and on arcs."""
@@ -334,7 +334,7 @@ class Program:
         )
 
     def _refused(self, problem: str, remedy: str) -> InputError:
-        return InputError(f"path: line {self._line} of {self.file} {problem}. {remedy}.")
+        return InputError(f"path: line {self._line} of {self._file} {problem}. {remedy}.")
 
 
 def read_gcode(file: Path) -> tuple[Array, Array, tuple[str, ...]]:

@@ -361,10 +361,6 @@ def surface_anatomy(
         return layer, np.where(layer == 0, np.float32(dense), np.float32(sparse))
 
     notes = {
-        "surface": surface.report.source,
-        "unit": surface.report.unit_guess,
-        "site": site.confidence,
-        "repairs": " ".join(surface.report.repairs) or "none",
         "cortical shell": f"{cortical_thickness_mm:g} mm of {dense:g} kg/m3 over {sparse:g} "
         "kg/m3, assumed: the file holds a surface only",
     }
@@ -380,19 +376,30 @@ def sampled_anatomy(
     classify: Classify,
     notes: Mapping[str, str],
 ) -> Anatomy:
-    """Build the anatomy of a surface in a site frame from a sampler of the surface's triangles."""
+    """Build the anatomy of a surface in a site frame from a sampler of the surface's triangles.
+
+    The notes replace or extend the notes on the surface, its unit, its repairs and its site.
+    """
     vertices = sampler.vertices_m
+    report = surface.report
+    notes = {
+        "surface": report.source,
+        "unit": report.unit_guess,
+        "site": site.confidence,
+        "repairs": " ".join(report.repairs) or "none",
+        **notes,
+    }
 
     def distance(points: Floats) -> Floats:
         return triangle_distance(vertices, sampler.faces, points).astype(points.dtype)
 
     return Anatomy(
-        surface.report.source,
+        report.source,
         Shape(distance, tuple(vertices.min(axis=0).tolist()), tuple(vertices.max(axis=0).tolist())),
         layer_names,
         classify,
         notes,
         sampler,
-        site.placement(surface.report.scale_mm),
+        site.placement(report.scale_mm),
         tuple(site.to_site(points) for points in surface.caps_m),
     )

@@ -204,7 +204,7 @@ def _glenoid_score(samples: SurfaceSamples, number: int, tree: "cKDTree") -> tup
     in most directions. The bone behind the disc is thick. The disc is not convex.
     """
     point = samples.points[number]
-    near = tree.query_ball_point(point, 1.2 * _DISC)  # contains the disc and 6 mm above and below
+    near = tree.query_ball_point(point, _REACH)
     offset = samples.points[near] - point
     normals = samples.normals[near]
     # The normal is a mean over a disc, because the normals of voxel surfaces and small triangles
@@ -214,18 +214,13 @@ def _glenoid_score(samples: SurfaceSamples, number: int, tree: "cKDTree") -> tup
     normal /= np.linalg.norm(normal)
     height = offset @ normal
     radial = np.linalg.norm(offset - height[:, None] * normal, axis=1)
+    facing = normals @ normal
     # within 53 degrees and 6 mm: the hollow and the rim of the socket, without the neck behind it
-    level = (normals @ normal > 0.6) & (np.abs(height) < 6e-3)
+    level = (facing > 0.6) & (np.abs(height) < 6e-3)
     covered = samples.area * np.count_nonzero(level & (radial < _DISC)) / (np.pi * _DISC**2)
     # A face covers the disc. With limits of 0.5 and 0.85, the sites are the same.
     if covered < 0.7:
         return normal, 0.0
-    near = tree.query_ball_point(point, _REACH)
-    offset = samples.points[near] - point
-    height = offset @ normal
-    radial = np.linalg.norm(offset - height[:, None] * normal, axis=1)
-    facing = samples.normals[near] @ normal
-    level = (facing > 0.6) & (np.abs(height) < 6e-3)
     # Surface directly behind the sample that faces backwards. The limit of 1.5 mm excludes the
     # other side of a thin rim.
     behind = height[(facing < 0.0) & (radial < 5e-3) & (height < -1.5e-3)]

@@ -16,11 +16,8 @@ from numpy.typing import NDArray
 from meshes.base.errors import DamagedFileError, InputError
 from meshes.base.isolated_parser import Answer
 
-__all__ = ["check_vtk", "mesh_arrays", "read_vtk", "vtk_mesh", "vtk_triangles"]
+__all__ = ["check_vtk", "outer_triangles", "read_vtk", "vtk_triangles"]
 
-_TETRAHEDRON = 10
-_QUADRATIC_TETRAHEDRON = 24
-"""Cell types of linear and quadratic tetrahedra in VTK."""
 _CORNERS = {
     1: 1,
     3: 2,
@@ -111,56 +108,11 @@ def vtk_triangles(file: Path) -> Answer:
 
     The arrays are ``points``, shape (n, 3), and ``triangles``, shape (m, 3).
     """
-    return {}, _triangles(read_vtk(file))
+    return {}, outer_triangles(read_vtk(file))
 
 
-def vtk_mesh(file: Path) -> Answer:
-    """Return the arrays of the mesh in a file, see `mesh_arrays`."""
-    import pyvista
-
-    data = read_vtk(file)
-    return mesh_arrays(data.combine() if isinstance(data, pyvista.MultiBlock) else data)
-
-
-def mesh_arrays(data: Any) -> Answer:
-    """Return values that describe a mesh, and the arrays of the mesh.
-
-    The arrays are ``points`` and ``tets`` with cell data, or ``points`` and ``triangles``.
-
-    For tetrahedra, the values are: ``others``, the number of cells that are not tetrahedra;
-    ``quadratic``, whether some tetrahedra had mid-edge nodes; ``names``, the original names of the
-    cell arrays; ``parts``, the texts of the field ``part_names``. In the result, the cell arrays
-    have the names ``cells 0``, ``cells 1``, and so on.
-    """
-    kinds = np.asarray(getattr(data, "celltypes", ()))
-    if not np.isin(kinds, (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON)).any():
-        return {}, _triangles(data)
-    by_kind = data.cells_dict
-    present = [kind for kind in (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON) if kind in by_kind]
-    order = np.concatenate([np.flatnonzero(kinds == kind) for kind in present])
-    tets = np.concatenate([np.asarray(by_kind[kind])[:, :4] for kind in present]).astype(np.int64)
-    names = [
-        name for name in data.cell_data if np.asarray(data.cell_data[name]).dtype.kind in "biufU"
-    ]
-    arrays: dict[str, Any] = {"points": np.asarray(data.points), "tets": tets}
-    arrays |= {
-        f"cells {i}": np.asarray(data.cell_data[name])[order] for i, name in enumerate(names)
-    }
-    parts = (
-        np.asarray(data.field_data["part_names"])
-        if "part_names" in data.field_data
-        else np.zeros(0)
-    )
-    facts = {
-        "others": len(kinds) - len(order),
-        "quadratic": _QUADRATIC_TETRAHEDRON in present,
-        "names": names,
-        "parts": [str(part) for part in parts.ravel()] if parts.dtype.kind == "U" else [],
-    }
-    return facts, arrays
-
-
-def _triangles(data: Any) -> dict[str, NDArray[np.number]]:
+def outer_triangles(data: Any) -> dict[str, NDArray[np.number]]:
+    """Return the arrays ``points`` and ``triangles`` of the surface of a dataset."""
     import pyvista
 
     if not isinstance(data, pyvista.PolyData):

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, by, names_of_caller, require_file, require_positive
 from meshes.base.extras import install_command
-from meshes.base.isolated_parser import parse_isolated
+from meshes.base.isolated_parser import Answer, parse_isolated
 from meshes.base.progress import Progress, silent
 from meshes.surfaces.surface import Surface, surface_from_triangles
-from meshes.surfaces.vtk_files import mesh_arrays
+from meshes.surfaces.vtk_files import outer_triangles, read_vtk
 from meshes.tets.msh import (
     MOST_PARTS,
     StoredMesh,
@@ -67,6 +67,10 @@ Below this range, the unit is probably metres. Above this range, the unit is pro
 """
 _STRAIGHT = "Took the corners of quadratic tetrahedra: their edges became straight."
 _NO_FACES = np.zeros((0, 3), dtype=np.int64)
+_NO_TETS = np.zeros((0, 4), dtype=np.int64)
+_TETRAHEDRON = 10
+_QUADRATIC_TETRAHEDRON = 24
+"""Cell types of linear and quadratic tetrahedra in VTK."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,12 +132,7 @@ def read_tets(
     """
     file = Path(path)
     stored = _read_stored(file)
-    used = stored.used
-    bad = int((~np.isfinite(used).all(axis=1)).sum())
-    if bad:
-        got = f"{bad} of {len(used)} nodes that are not finite in {file.name}"
-        raise InputError("nodes", "be finite", got, "export it again")
-    scale, why = _unit(np.ptp(used, axis=0), unit_mm, file.name)
+    scale, why = _unit(np.ptp(stored.used, axis=0), unit_mm, file.name)
     if len(stored.tets):
         mesh, sentences = stored.repaired(scale)
         return TetFile(mesh, scale, (why, *sentences))
@@ -151,12 +150,14 @@ def _read_stored(file: Path) -> StoredMesh:
         found = read_msh(file) if is_old_text(file) else _read_by_meshio(file)
     else:
         facts, arrays = parse_isolated(
-            "meshes.surfaces.vtk_files:vtk_mesh",
+            "meshes.tets.files:vtk_mesh",
             file,
             what="mesh",
             remedy="export it as .vtu, .vtk, .msh or .stl",
         )
-        found = _of_arrays(facts, arrays, file.name)
+        names = {int(number): name for number, name in facts["names"]}
+        fields: dict[str, Any] = arrays
+        found = StoredMesh(**fields, names=names, notes=tuple(facts["notes"]))
     if len(found.tets) == 0 and len(found.triangles) == 0:
         got = f"none in {file.name}"
         raise InputError("file", "hold tetrahedra or triangles", got, "mesh the solid first")
@@ -263,17 +264,9 @@ def given_tets(
         raise InputError(
             "mesh", "hold tetrahedra", "none", "fill a surface with tetrahedra by from_surface"
         )
-    inside = 0 <= stored.tets.min() <= stored.tets.max() < len(stored.points)
-    if not inside or not np.isfinite(stored.used).all():
-        raise InputError(
-            "mesh",
-            "hold a finite point for each corner of its cells",
-            "missing points or points that are not finite",
-            "export it again",
-        )
-    scale = require_millimetres("mesh", stored.used, scale_mm)
     stored.names.update(part_names or {})
     with names_of_caller(dict.fromkeys(("nodes", "nodes_m", "cells"), "mesh")):
+        scale = require_millimetres("mesh", stored.used, scale_mm)
         return GivenTets(scale * stored.points, *stored.repaired(scale))
 
 
@@ -307,7 +300,7 @@ def _stored(mesh: object) -> StoredMesh:
         with names_of_caller({"file": "mesh"}):
             return _read_stored(Path(mesh))
     if hasattr(mesh, "celltypes") and hasattr(mesh, "cell_data"):
-        return _of_arrays(*mesh_arrays(mesh), "mesh")
+        return _of_grid(mesh, "mesh")
     if hasattr(mesh, "points") and hasattr(mesh, "cells"):
         return _of_blocks(mesh)
     if not isinstance(mesh, tuple | list) or len(mesh) != 2:
@@ -329,23 +322,44 @@ def _stored(mesh: object) -> StoredMesh:
     return StoredMesh(points.astype(np.float64), cells.astype(np.int64), _NO_FACES, part, {})
 
 
-def _of_arrays(
-    facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], source: str
-) -> StoredMesh:
-    """Build a mesh from the arrays of `meshes.surfaces.vtk_files.mesh_arrays`."""
-    tets = arrays.get("tets", np.zeros((0, 4), dtype=np.int64))
+def vtk_mesh(file: Path) -> Answer:
+    """Read a mesh with VTK, in the process of `meshes.base.isolated_parser`.
+
+    The arrays are the arrays of a `StoredMesh`. The values are its names, as pairs, and its notes.
+    """
+    import pyvista
+
+    data = read_vtk(file)
+    found = _of_grid(data.combine() if isinstance(data, pyvista.MultiBlock) else data, file.name)
+    arrays = {name: getattr(found, name) for name in ("points", "tets", "triangles", "part")}
+    return {"names": list(found.names.items()), "notes": found.notes}, arrays
+
+
+def _of_grid(data: Any, source: str) -> StoredMesh:
+    """Return the tetrahedra of a pyvista dataset, or its surface if it has no tetrahedra."""
+    kinds = np.asarray(getattr(data, "celltypes", ()))
+    present = [kind for kind in (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON) if kind in kinds]
+    if not present:
+        surface = outer_triangles(data)
+        points = surface["points"].astype(np.float64)
+        faces = surface["triangles"].astype(np.int64)
+        return StoredMesh(points, _NO_TETS, faces, np.zeros(0, dtype=np.int64), {})
+    order = np.concatenate([np.flatnonzero(kinds == kind) for kind in present])
+    cells = [np.asarray(data.cells_dict[kind])[:, :4] for kind in present]
     known: dict[int, str] = {}
-    for number, text in enumerate(facts.get("parts", [])):
+    listed = np.asarray(data.field_data.get("part_names", ()))
+    for number, text in enumerate(listed.ravel().tolist() if listed.dtype.kind == "U" else ()):
         known[number] = part_name(text, known, f"part_names of {source}")
-    data = {name: arrays[f"cells {number}"] for number, name in enumerate(facts.get("names", []))}
-    part, names = _parts(data, len(tets), known)
+    values = {name: np.asarray(data.cell_data[name])[order] for name in data.cell_data}
+    part, names = _parts(values, len(order), known)
     notes = []
-    if facts.get("others"):
-        notes.append(f"Left out {facts['others']} cells that are not tetrahedra.")
-    if facts.get("quadratic"):
+    if len(kinds) > len(order):
+        notes.append(f"Left out {len(kinds) - len(order)} cells that are not tetrahedra.")
+    if _QUADRATIC_TETRAHEDRON in present:
         notes.append(_STRAIGHT)
-    points = arrays["points"].astype(np.float64)
-    return StoredMesh(points, tets, arrays.get("triangles", _NO_FACES), part, names, tuple(notes))
+    points = np.asarray(data.points, dtype=np.float64)
+    tets = np.concatenate(cells).astype(np.int64)
+    return StoredMesh(points, tets, _NO_FACES, part, names, tuple(notes))
 
 
 def _of_blocks(mesh: Any) -> StoredMesh:
@@ -355,7 +369,7 @@ def _of_blocks(mesh: Any) -> StoredMesh:
     """
     chosen = [k for k, block in enumerate(mesh.cells) if block.type in ("tetra", "tetra10")]
     tets = [np.asarray(mesh.cells[k].data)[:, :4] for k in chosen]
-    cells = np.concatenate([np.zeros((0, 4)), *tets]).astype(np.int64)
+    cells = np.concatenate([_NO_TETS, *tets]).astype(np.int64)
     surfaces = [np.asarray(block.data)[:, :3] for block in mesh.cells if block.type == "triangle"]
     faces = np.concatenate([_NO_FACES, *surfaces]).astype(np.int64)
     data = {

@@ -14,7 +14,7 @@ from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from meshes.base.tables import decoded_text
 from meshes.base.text_tables import number_in, visible, whole_number_in
-from meshes.tets.quality import describe, repair_tets
+from meshes.tets.quality import describe, repair_tets, require_cells
 from meshes.tets.tetrahedra import TetMesh
 
 __all__ = [
@@ -66,8 +66,13 @@ class StoredMesh:
 
     @property
     def used(self) -> Array:
-        """Points of the tetrahedra or, without tetrahedra, of the triangles, shape (k, 3)."""
-        return self.points[np.unique(self.tets if len(self.tets) else self.triangles)]
+        """Points of the tetrahedra or, without tetrahedra, of the triangles, shape (k, 3).
+
+        A missing point, or a point that is not finite, raises an `InputError`.
+        """
+        cells = self.tets if len(self.tets) else self.triangles
+        require_cells(self.points, cells)
+        return self.points[np.unique(cells)]
 
     def repaired(self, unit_mm: float) -> tuple[TetMesh, tuple[str, ...]]:
         """Return the tetrahedra in metres, repaired if necessary, and sentences on the repairs."""
@@ -136,18 +141,16 @@ def is_old_text(file: Path) -> bool:
 
 
 def _version(lines: list[str], file: Path) -> int:
-    """Return the version of a Gmsh text file, 1 or 2."""
-    if lines[0].strip() == "$NOD":
-        return 1
-    form = lines[1].split() if lines[0].strip() == "$MeshFormat" and len(lines) > 1 else []
-    if len(form) >= 2 and form[0].startswith("2") and form[1] == "0":
-        return 2
-    raise InputError(
-        "file",
-        "be Gmsh text of version 1 or 2",
-        f"version {' '.join(form[:2])} in {file.name}" if form else f"neither in {file.name}",
-        "save it with gmsh -format msh22",
-    )
+    """Return the version of a Gmsh text file from its first line. Version 1 starts with nodes."""
+    version = {"$NOD": 1, "$MeshFormat": 2}.get(lines[0].strip())
+    if version is None:
+        raise InputError(
+            "file",
+            "be Gmsh text of version 1 or 2",
+            f"neither in {file.name}",
+            "save it with gmsh -format msh22",
+        )
+    return version
 
 
 def _section(lines: list[str], opening: str) -> list[str]:

@@ -30,13 +30,14 @@ from meshes.tets.tetrahedra import (
     cell_faces,
     flatness,
     mean_ratio,
+    outer_faces,
     pieces,
     pinched_edges,
     place,
     signed_volumes,
 )
 
-__all__ = ["FLAT", "SLIVER", "describe", "repair_tets", "smooth"]
+__all__ = ["FLAT", "SLIVER", "describe", "repair_tets", "require_cells", "smooth"]
 
 # limits from the table above
 _DEBRIS = 0.01
@@ -125,7 +126,11 @@ def repair_tets(
     nodes = np.asarray(nodes_m, dtype=np.float64)
     tets = np.asarray(cells, dtype=np.int64)
     parts = np.zeros(len(tets), np.uint8) if part is None else np.asarray(part, np.uint8)
-    _require_numbers(nodes, tets)
+    if len(tets) == 0 or tets.ndim != 2 or tets.shape[1] != 4:
+        raise InputError(
+            "cells", "be tetrahedra", f"an array of shape {tets.shape}", "mesh the solid first"
+        )
+    require_cells(nodes, tets)
     notes = []
     count = len(nodes)
     nodes, tets = _joined(nodes, tets)
@@ -225,13 +230,8 @@ def _whole(cells: Ints, keep: Flags) -> bool:
     """
     left = cells[keep]
     return pieces(left).max() <= pieces(cells).max() and (
-        len(pinched_edges(_surface(left))) <= len(pinched_edges(_surface(cells)))
+        len(pinched_edges(outer_faces(left))) <= len(pinched_edges(outer_faces(cells)))
     )
-
-
-def _surface(cells: Ints) -> Ints:
-    triangles, _, shared = cell_faces(cells)
-    return triangles[shared == 1]
 
 
 def _without_debris(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Bytes, Array]:
@@ -246,7 +246,7 @@ def _without_debris(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Byte
 def _movable(count: int, cells: Ints, parts: Bytes) -> Flags:
     """Return flags of the nodes that are neither on the surface nor between parts, shape (n,)."""
     inner = np.ones(count, dtype=bool)
-    inner[_surface(cells)] = False
+    inner[outer_faces(cells)] = False
     # Parts are bytes, so 255 is larger than every part.
     lowest = np.full(count, 255, dtype=np.uint8)
     highest = np.zeros(count, dtype=np.uint8)
@@ -255,11 +255,8 @@ def _movable(count: int, cells: Ints, parts: Bytes) -> Flags:
     return inner & (lowest == highest)
 
 
-def _require_numbers(nodes: Array, cells: Ints) -> None:
-    if len(cells) == 0 or cells.ndim != 2 or cells.shape[1] != 4:
-        raise InputError(
-            "cells", "be tetrahedra", f"an array of shape {cells.shape}", "mesh the solid first"
-        )
+def require_cells(nodes: Array, cells: Ints) -> None:
+    """Raise an error if a cell refers to a node that does not exist or is not finite."""
     if cells.min() < 0 or cells.max() >= len(nodes):
         raise InputError(
             "cells",

@@ -26,7 +26,7 @@ from meshes.base.arrays import Array, Flags, Floats, Ints, compact, lattice
 from meshes.base.errors import InputError, require_length
 from meshes.shapes.sdf import Shape
 from meshes.surfaces.repair import triangle_areas
-from meshes.tets.tetrahedra import EDGES, TetMesh, cell_faces, mean_ratio, signed_volumes
+from meshes.tets.tetrahedra import EDGES, TetMesh, mean_ratio, outer_faces, signed_volumes
 from meshes.voxels.mesh_sampling import triangle_distance
 
 __all__ = [
@@ -134,8 +134,7 @@ def bisected(
         copies = np.arange(len(cells) - len(halved), len(cells))
         cells[halved, second] = cells[copies, first] = number[longest[halved]]
         if onto is not None:
-            triangles, _, shared = cell_faces(cells)
-            outside = np.unique(triangles[shared == 1])
+            outside = np.unique(outer_faces(cells))
             nodes = _moved(nodes, cells, outside[outside >= len(nodes) - split.sum()], onto)
 
 

@@ -22,6 +22,7 @@ __all__ = [
     "flatness",
     "grid_of",
     "mean_ratio",
+    "outer_faces",
     "pieces",
     "pinched_edges",
     "place",
@@ -88,6 +89,12 @@ def cell_faces(cells: Cells) -> tuple[Ints, Ints, Ints]:
         np.sort(triangles, axis=1), axis=0, return_inverse=True, return_counts=True
     )
     return triangles, where, count[where]
+
+
+def outer_faces(cells: Cells) -> Ints:
+    """Return the faces that only one cell has, with outward normals, shape (f, 3)."""
+    triangles, _, shared = cell_faces(cells)
+    return triangles[shared == 1]
 
 
 def pieces(cells: Cells) -> Ints:
@@ -197,8 +204,7 @@ class TetMesh:
     @cached_property
     def surface(self) -> Ints:
         """Triangles that bound the mesh, counter-clockwise as seen from outside, shape (f, 3)."""
-        triangles, _, shared = cell_faces(self.cells)
-        return triangles[shared == 1]
+        return outer_faces(self.cells)
 
     @cached_property
     def surface_nodes(self) -> Ints:

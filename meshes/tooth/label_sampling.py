@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from math import ceil
 
@@ -25,7 +25,13 @@ from meshes.base.arrays import Array, Bytes, Floats, Singles, lattice
 from meshes.base.errors import InputError
 from meshes.base.grid import Grid
 from meshes.base.placement import Placement
-from meshes.tooth.layers import EMPTY, LAYER_DENSITY_KG_M3, PRIORITY, TOOTH_LAYERS
+from meshes.tooth.layers import (
+    EMPTY,
+    LAYER_DENSITY_KG_M3,
+    PRIORITY,
+    TOOTH_LAYERS,
+    in_chunks,
+)
 from meshes.voxels.distances import cube_fraction
 from meshes.voxels.label_shares import depth_of_share, spread_labels
 from meshes.voxels.volume import FULL, VoxelVolume
@@ -56,8 +62,6 @@ The number is small, so that progress is reported often.
 """
 _THREADS = 2
 """Number of threads. NumPy releases the interpreter lock in most of the work."""
-_POINTS_AT_ONCE = 1 << 18
-"""Number of points at which shares are interpolated at once. Their indices take 6 MB."""
 _SURELY = 0.49
 """Difference between a share and one half above which no surface lies within one voxel."""
 _HALF_DIAGONAL = 0.5 * 3.0**0.5
@@ -302,13 +306,12 @@ class LabelShares:
         """Return the layer with the largest share at points [m], shape (n, 3)."""
         if len(self.layers) < 2:
             return np.full(len(points), self.layers[0] if len(self.layers) else 0, np.uint8)
-        found = np.empty(len(points), dtype=np.uint8)
-        for part in _parts(len(points)):
-            at = self._index(points[part])
-            found[part] = self.layers[
-                np.argmax([_interpolated(share, at) for share in self.shares], axis=0)
-            ]
-        return found
+
+        def largest(part: Floats) -> Bytes:
+            shares = [self._interpolated(share, part) for share in self.shares]
+            return self.layers[np.argmax(shares, axis=0)]
+
+        return in_chunks(largest, points)
 
     def distance(self, points: Floats) -> Array:
         """Compute the signed distance [m] to the surface at points [m], shape (n, 3).
@@ -375,22 +378,11 @@ class LabelShares:
 
     def _solid_at(self, points: Floats) -> Singles:
         """Compute the sum of the shares of all layers at points [m], shape (n, 3)."""
-        return np.concatenate(
-            [_interpolated(self.solid, self._index(points[p])) for p in _parts(len(points))]
-        )
+        return in_chunks(partial(self._interpolated, self.solid), points)
 
-    def _index(self, points: Floats) -> Array:
-        """Convert points [m] to indices [voxel], shape (3, n)."""
-        return np.asarray(self.start[:, None] + self.turn @ points.T)
+    def _interpolated(self, values: Singles, points: Floats) -> Singles:
+        """Interpolate values of the voxels linearly at points [m], shape (n, 3)."""
+        from scipy.ndimage import map_coordinates
 
-
-def _interpolated(values: Singles, at: Array) -> Singles:
-    """Interpolate linearly at indices, shape (3, n)."""
-    from scipy.ndimage import map_coordinates
-
-    return np.asarray(map_coordinates(values, at, order=1, mode="nearest", output=np.float32))
-
-
-def _parts(count: int) -> list[slice]:
-    """Return slices that divide points into parts that fit in the processor's cache."""
-    return [slice(k, k + _POINTS_AT_ONCE) for k in range(0, max(count, 1), _POINTS_AT_ONCE)]
+        at = self.start[:, None] + self.turn @ points.T
+        return np.asarray(map_coordinates(values, at, order=1, mode="nearest", output=np.float32))

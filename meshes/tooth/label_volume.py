@@ -232,7 +232,7 @@ def labelled_tooth(image: Image, *, labels: Mapping[int, str] = CARIES_LABELS) -
     require_known(labels.values(), "labels")
     layer, first, islands = _layers(image, labels)
     counts = np.bincount(layer.ravel(order="K"), minlength=EMPTY + 1)
-    cube_mm3 = float(np.prod(image.spacing_mm))
+    cube_mm3 = image.voxel_mm3
     volumes_mm3 = {name: counts[k] * cube_mm3 for k, name in enumerate(TOOTH_LAYERS) if counts[k]}
     require_known(volumes_mm3, "labels")
     spacing_mm = np.array(image.spacing_mm)
@@ -312,7 +312,7 @@ def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], 
     layer = layer_of[cropped]
     layer[pieces != np.argmax(sizes)] = EMPTY
     dropped = int(sizes.sum() - sizes.max())
-    cube_mm3 = float(np.prod(image.spacing_mm))
+    cube_mm3 = image.voxel_mm3
     islands = (
         f"Dropped {count - 1} loose pieces of {dropped} voxels, {dropped * cube_mm3:.2g} mm3 in "
         "all."

@@ -12,14 +12,13 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Bytes, Flags, Ints, Triangles
+from meshes.base.arrays import Array, Bytes, Flags, Floats, Ints, Singles, Triangles
 from meshes.base.errors import InputError
 from meshes.tooth.layers import TOOTH_LAYERS
 from meshes.voxels.mesh_sampling import column_crossings, inside_scattered
 
 __all__ = [
-    "PITCH_M",
-    "LayerContact",
+    "Lattice",
     "inside_lattice",
     "measure_contact",
     "require_pulp_within",
@@ -29,6 +28,7 @@ __all__ = [
 PITCH_M = 0.1e-3
 """Distance between the lattice points [m]."""
 
+_CUBE_MM3 = (1e3 * PITCH_M) ** 3
 _WIDEST_GAP_M = 0.3e-3  # see above
 _TOUCHING = [
     {"enamel", "dentin"},
@@ -54,25 +54,32 @@ Near means at a distance of less than ``_NEAR_M``.
 
 
 @dataclass(frozen=True, eq=False)
-class LayerContact:
-    """Measured overlaps and gaps of layers.
+class Lattice:
+    """Values on a lattice of points with the spacing `pitch` [m] and the first point `origin`."""
 
-    Attributes
-    ----------
-    overlap_mm3, gap_mm3
-        Dictionary from a pair of layer names to the volume of overlap or gap. Pairs without overlap
-        or gap are not included.
-    void_mm3
-        Volume that the layers enclose, but that lies neither in a layer nor in a gap.
-    gap_layer
-        For each lattice point in a gap, index + 1 of the layer to which the gap is assigned; 0
-        outside gaps; uint8, shape (nx, ny, nz).
-    """
+    origin: Array
+    pitch: float
+    values: NDArray[np.number]
 
-    overlap_mm3: Mapping[tuple[str, str], float]
-    gap_mm3: Mapping[tuple[str, str], float]
-    void_mm3: float
-    gap_layer: Bytes
+    def __call__(self, points: Floats, *, beyond: float) -> Singles:
+        """Interpolate the values linearly at points [m], shape (n, 3).
+
+        The result is `beyond` outside the lattice.
+        """
+        from scipy.ndimage import map_coordinates
+
+        index = ((points - self.origin) / self.pitch).T
+        return map_coordinates(
+            self.values, index, output=np.float32, order=1, mode="constant", cval=beyond
+        )
+
+    def nearest(self, points: Floats) -> NDArray[np.number]:
+        """Return the value at the nearest lattice point, or 0 outside the lattice."""
+        index = np.rint((points - self.origin) / self.pitch).astype(np.int64)
+        held = ((index >= 0) & (index < self.values.shape)).all(axis=1)
+        found = np.zeros(len(points), dtype=self.values.dtype)
+        found[held] = self.values[tuple(index[held].T)]
+        return found
 
 
 def inside_lattice(vertices: Array, faces: Ints, axes: Sequence[Array]) -> Flags:
@@ -95,36 +102,56 @@ def inside_lattice(vertices: Array, faces: Ints, axes: Sequence[Array]) -> Flags
     return np.cumsum(change.reshape(len(x), len(y), len(z) + 1), axis=2)[:, :, :-1] > 0.5
 
 
-def measure_contact(inside: Mapping[str, Flags], priority: Sequence[str]) -> LayerContact:
-    """Measure overlaps and gaps of layers, given as flags on a lattice with the spacing `PITCH_M`.
+def measure_contact(solids: Mapping[str, Triangles]) -> tuple[Lattice, dict[str, str]]:
+    """Measure overlaps, gaps and voids of layers on a lattice with the spacing `PITCH_M`.
 
     Parameters
     ----------
-    inside
-        Dictionary from layer name to flags of the lattice points within the layer, shape (nx, ny,
-        nz).
-    priority
-        Layer names in order of priority. The overlap of two layers and the gap between two layers
-        are assigned to the layer that is named first.
+    solids
+        Vertices [m] and triangles by layer name, in order of priority. The overlap of two layers
+        and the gap between two layers are assigned to the layer that comes first.
+
+    Returns
+    -------
+    Lattice with the index + 1 of the layer to which a gap is assigned, 0 outside gaps; notes on
+    overlaps, gaps and voids.
     """
     from scipy.ndimage import binary_fill_holes
 
-    cube_mm3 = (1e3 * PITCH_M) ** 3
-    names = [name for name in priority if name in inside]
+    # Two empty planes on each side. The half step avoids points on flat faces at multiples of the
+    # spacing.
+    low = np.min([vertices.min(axis=0) for vertices, _ in solids.values()], axis=0) - 2.5 * PITCH_M
+    high = np.max([vertices.max(axis=0) for vertices, _ in solids.values()], axis=0) + 2.5 * PITCH_M
+    axes = [
+        a + PITCH_M * np.arange(int(np.ceil((b - a) / PITCH_M)))
+        for a, b in zip(low, high, strict=True)
+    ]
+    inside = {name: inside_lattice(*solid, axes) for name, solid in solids.items()}
     shared = {
-        (a, b): int(np.count_nonzero(inside[a] & inside[b])) for a, b in combinations(names, 2)
+        (a, b): int(np.count_nonzero(inside[a] & inside[b])) for a, b in combinations(inside, 2)
     }
-    label = np.zeros(next(iter(inside.values())).shape, dtype=np.uint8)
-    for name in reversed(names):
+    label = np.zeros([len(axis) for axis in axes], dtype=np.uint8)
+    for name in reversed(inside):
         label[inside[name]] = TOOTH_LAYERS.index(name) + 1
-    gap_layer, gaps = _gaps(label, names)
-    enclosed = binary_fill_holes(label > 0) & (label == 0) & (gap_layer == 0)
-    return LayerContact(
-        {pair: count * cube_mm3 for pair, count in shared.items() if count},
-        {pair: count * cube_mm3 for pair, count in gaps.items() if count},
-        float(np.count_nonzero(enclosed)) * cube_mm3,
-        gap_layer,
-    )
+    gap_layer, gaps = _gaps(label, list(inside))
+    void = binary_fill_holes(label > 0) & (label == 0) & (gap_layer == 0)
+    notes = {"overlaps": _listed(shared), "gaps": _listed(gaps)}
+    if void.any():
+        notes["voids"] = (
+            f"{_CUBE_MM3 * np.count_nonzero(void):.3g} mm3 are enclosed by the layers but belong "
+            "to no layer, and are left empty"
+        )
+    return Lattice(low, PITCH_M, gap_layer), notes
+
+
+def _listed(counts: Mapping[tuple[str, str], int]) -> str:
+    """Return the volumes of numbers of lattice points for pairs of layers as a text."""
+    volumes = [
+        f"{one} and {other} {_CUBE_MM3 * count:.3g} mm3"
+        for (one, other), count in counts.items()
+        if count
+    ]
+    return ", ".join(volumes) or "none"
 
 
 def _gaps(label: Bytes, names: list[str]) -> tuple[Bytes, dict[tuple[str, str], int]]:

@@ -7,12 +7,11 @@ bone socket is added.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Bytes, Floats, Singles, Triangles, lattice
 from meshes.base.errors import InputError, names_of_caller, require_range
@@ -24,9 +23,7 @@ from meshes.surfaces.repair import merge_vertices, triangle_areas
 from meshes.surfaces.site import Site, sample_surface
 from meshes.surfaces.surface import Surface, read_surface
 from meshes.tooth.layer_contact import (
-    PITCH_M,
-    LayerContact,
-    inside_lattice,
+    Lattice,
     measure_contact,
     require_pulp_within,
     require_touching,
@@ -52,7 +49,7 @@ from meshes.voxels.voxelise import voxelise
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-__all__ = ["Lattice", "LayeredSolid", "joined", "layered_anatomy", "layered_surfaces"]
+__all__ = ["LayeredSolid", "joined", "layered_anatomy", "layered_surfaces"]
 
 _SAMPLE_PITCH_M = 0.1e-3
 _MOST_SAMPLES = 300_000
@@ -67,41 +64,14 @@ _SOCKET_PITCH_M = 0.2e-3
 
 Around a root with a radius of 3 mm, the interpolation error is 2 um.
 """
+_FAR_M = 1.0
+"""Distance [m] from the socket outside its table. It is longer than any tooth."""
 _MERGE_TOLERANCE_M = 1e-8
 """Largest distance [m] at which vertices of two surfaces are merged.
 
 The rounding error of single precision is 2e-9 m.
 """
 _DENSITY = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=np.float32)
-
-
-@dataclass(frozen=True, eq=False)
-class Lattice:
-    """Values on a lattice of points with the spacing `pitch` [m] and the first point `origin`."""
-
-    origin: Array
-    pitch: float
-    values: NDArray[np.number]
-
-    def __call__(self, points: Floats, *, beyond: float) -> Singles:
-        """Interpolate the values linearly at points [m], shape (n, 3).
-
-        The result is `beyond` outside the lattice.
-        """
-        from scipy.ndimage import map_coordinates
-
-        index = ((points - self.origin) / self.pitch).T
-        return map_coordinates(
-            self.values, index, output=np.float32, order=1, mode="constant", cval=beyond
-        )
-
-    def nearest(self, points: Floats) -> NDArray[np.number]:
-        """Return the value at the nearest lattice point, or 0 outside the lattice."""
-        index = np.rint((points - self.origin) / self.pitch).astype(np.int64)
-        held = ((index >= 0) & (index < self.values.shape)).all(axis=1)
-        found = np.zeros(len(points), dtype=self.values.dtype)
-        found[held] = self.values[tuple(index[held].T)]
-        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,25 +89,25 @@ class LayeredSolid:
     gap
         Lattice with the index + 1 of the layer to which each gap is assigned, 0 outside gaps.
     socket
-        Lattice with the distance from the bone socket [m], negative inside.
+        Lattice with the distance from the bone socket [m], negative inside. Without a socket, the
+        lattice is one distant point.
     """
 
     solids: Mapping[int, Triangles]
     union: Triangles
     samples: cKDTree
     sample_layer: Bytes
-    gap: Lattice | None
-    socket: Lattice | None
+    gap: Lattice
+    socket: Lattice
 
     def distance(self, points: Floats) -> Floats:
         """Compute the signed distance [m] of points [m], shape (n, 3), from the solid.
 
         The distance is negative inside.
         """
-        away = triangle_distance(*self.union, points)
-        if self.socket is not None:
-            # 1 m is farther than any tooth. Outside its table, there is no socket.
-            away = np.minimum(away, self.socket(points, beyond=1.0))
+        away = np.minimum(
+            triangle_distance(*self.union, points), self.socket(points, beyond=_FAR_M)
+        )
         return away.astype(points.dtype)
 
     def sample(self, grid: Grid) -> tuple[Singles, Singles]:
@@ -146,25 +116,16 @@ class LayeredSolid:
         See `meshes.shapes.anatomy.GridSampler`.
         """
         fraction, depth = TriangleSampler(*self.union)(grid)
-        if self.gap is None and self.socket is None:
-            return fraction, depth
         index = np.nonzero(fraction < 1.0)
         points = np.stack(
             [(i + f + 0.5) * grid.spacing_m for i, f in zip(index, grid.first, strict=True)], axis=1
         )
-        filled = fraction[index]
-        if self.gap is not None:
-            open_gap = Lattice(
-                self.gap.origin, self.gap.pitch, (self.gap.values > 0).astype(np.float32)
-            )
-            filled = np.minimum(filled + open_gap(points, beyond=0.0), 1.0)
-        if self.socket is not None:
-            away = self.socket(points, beyond=1.0)
-            # A plane at this distance cuts the voxel. The part that is not in a layer is bone.
-            filled = filled + (1.0 - filled) * np.clip(
-                0.5 - away / np.float32(grid.spacing_m), 0.0, 1.0
-            )
-            depth[index] = np.where(fraction[index] > 0.0, np.maximum(depth[index], -away), -away)
+        is_gap = replace(self.gap, values=(self.gap.values > 0).astype(np.float32))
+        filled = np.minimum(fraction[index] + is_gap(points, beyond=0.0), 1.0)
+        away = self.socket(points, beyond=_FAR_M)
+        # A plane at this distance cuts the voxel. The part that is not in a layer is bone.
+        filled += (1.0 - filled) * np.clip(0.5 - away / np.float32(grid.spacing_m), 0.0, 1.0)
+        depth[index] = np.where(fraction[index] > 0.0, np.maximum(depth[index], -away), -away)
         fraction[index] = filled
         return fraction, depth
 
@@ -181,15 +142,10 @@ class LayeredSolid:
             held = inside_scattered(vertices, faces, points[left])
             layer[left[held]] = index
             left = left[~held]
-        if self.gap is not None:
-            gap = self.gap.nearest(points[left])
-            layer[left[gap > 0]] = gap[gap > 0] - 1
-            left = left[gap == 0]
-        away = (
-            np.full(len(left), np.inf)
-            if self.socket is None
-            else self.socket(points[left], beyond=1.0)
-        )
+        gap = self.gap.nearest(points[left])
+        layer[left[gap > 0]] = gap[gap > 0] - 1
+        left = left[gap == 0]
+        away = self.socket(points[left], beyond=_FAR_M)
         layer[left[away <= 0.0]] = BONE
         left = left[away > 0.0]
         away = away[away > 0.0]
@@ -323,7 +279,6 @@ def layered_anatomy(
             f"{socket_mm:g}",
             "add the ligament, or leave the socket out",
         )
-    order = [name for name in PRIORITY if name in surfaces]
     samples = {name: _spread(surface) for name, surface in surfaces.items()}
     require_touching(
         samples, {name: (surface.vertices_m, surface.faces) for name, surface in surfaces.items()}
@@ -342,15 +297,15 @@ def layered_anatomy(
     )
     placed = {
         name: ((surfaces[name].vertices_m - centre) @ rotation, surfaces[name].faces)
-        for name in surfaces
+        for name in PRIORITY
+        if name in surfaces
     }
     samples = {name: (points - centre) @ rotation for name, points in samples.items()}
-    origin, contact = _contact(placed, order)
     if "pulp" in surfaces:
         require_pulp_within(samples["pulp"], placed["dentin"], samples["dentin"])
-    gap = Lattice(origin, PITCH_M, contact.gap_layer) if contact.gap_mm3 else None
-    solid = _solid({name: placed[name] for name in order}, samples, gap, margin)
-    notes = _notes(surfaces, note, contact, order, socket_mm)
+    gap, fit = measure_contact(placed)
+    solid = _solid(placed, samples, gap, margin)
+    notes = _notes(surfaces, note, socket_mm) | {"priority": " > ".join(placed)} | fit
     placement = Placement(1e3 * centre, rotation, scale)
     points = np.concatenate(list(samples.values()))
     high = np.maximum(points.max(axis=0), samples.get("ligament", points).max(axis=0) + margin)
@@ -365,7 +320,7 @@ def layered_anatomy(
 def _solid(
     placed: Mapping[str, Triangles],
     samples: Mapping[str, Array],
-    gap: Lattice | None,
+    gap: Lattice,
     margin: float,
 ) -> LayeredSolid:
     """Combine the layers in the site frame, and add a socket with the thickness `margin` [m].
@@ -377,7 +332,7 @@ def _solid(
     layer = np.concatenate(
         [np.full(len(samples[name]), TOOTH_LAYERS.index(name), np.uint8) for name in samples]
     )
-    socket = None
+    socket = Lattice(np.zeros(3), _FAR_M, np.full((1, 1, 1), _FAR_M, dtype=np.float32))
     if margin > 0.0:
         others = np.concatenate([points for name, points in samples.items() if name != "ligament"])
         socket = _socket(samples["ligament"], others, margin)
@@ -426,35 +381,8 @@ def _site(
     )
 
 
-def _contact(placed: Mapping[str, Triangles], order: Sequence[str]) -> tuple[Array, LayerContact]:
-    """Return the first point of a lattice [m], and the fit of the layers on this lattice."""
-    # Two empty planes on each side. The half step avoids points on flat faces at multiples of the
-    # spacing.
-    low = np.min([vertices.min(axis=0) for vertices, _ in placed.values()], axis=0) - 2.5 * PITCH_M
-    high = np.max([vertices.max(axis=0) for vertices, _ in placed.values()], axis=0) + 2.5 * PITCH_M
-    axes = [
-        a + PITCH_M * np.arange(int(np.ceil((b - a) / PITCH_M)))
-        for a, b in zip(low, high, strict=True)
-    ]
-    return low, measure_contact(
-        {name: inside_lattice(*placed[name], axes) for name in placed}, order
-    )
-
-
-def _notes(
-    surfaces: Mapping[str, Surface],
-    note: str,
-    contact: LayerContact,
-    order: Sequence[str],
-    socket_mm: float,
-) -> dict[str, str]:
+def _notes(surfaces: Mapping[str, Surface], note: str, socket_mm: float) -> dict[str, str]:
     """Return measured values and assumptions as texts for reports."""
-
-    def listed(volumes: Mapping[tuple[str, str], float]) -> str:
-        return ", ".join(
-            f"{one} and {other} {volume:.3g} mm3" for (one, other), volume in volumes.items()
-        )
-
     notes = {
         "surfaces": ", ".join(
             f"{name} {surface.report.volume_mm3:.4g} mm3" for name, surface in surfaces.items()
@@ -462,16 +390,8 @@ def _notes(
         "unit": surfaces["dentin"].report.unit_guess,
         "long axis": note,
         "mesial and buccal": "not distinguished: x is the wider direction of the roots",
-        "overlaps": listed(contact.overlap_mm3) or "none",
-        "gaps": listed(contact.gap_mm3) or "none",
-        "priority": " > ".join(order),
         "densities": "by layer, assumed",
     }
-    if contact.void_mm3 > 0.0:
-        notes["voids"] = (
-            f"{contact.void_mm3:.3g} mm3 are enclosed by the layers but belong to no "
-            "layer, and are left empty"
-        )
     if "pulp" not in surfaces:
         notes["pulp"] = "none given: distance and exposure of the pulp are unknown"
     if "ligament" not in surfaces:

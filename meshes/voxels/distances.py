@@ -132,12 +132,14 @@ def carried_beyond(
     for _ in range(2):
         wanted = (surface < OUTSIDE) & ~known
         for axis in range(3):
-            for low, high in (_halves(axis), _halves(axis)[::-1]):
-                taken = wanted[low] & known[high]
-                layer[low][taken] = layer[high][taken]
-                density[low][taken] = density[high][taken]
-                known[low] |= taken
-                wanted[low] &= ~taken
+            views = [np.moveaxis(each, axis, 0) for each in (layer, density, known, wanted)]
+            for low, high in ((slice(-1), slice(1, None)), (slice(1, None), slice(-1))):
+                layers, densities, is_known, is_wanted = views
+                taken = is_wanted[low] & is_known[high]
+                layers[low][taken] = layers[high][taken]
+                densities[low][taken] = densities[high][taken]
+                is_known[low] |= taken
+                is_wanted[low] &= ~taken
     return layer, density, known
 
 
@@ -222,14 +224,6 @@ def _outward(fraction: Bytes, at: Ints) -> Array:
             slope -= weight * fraction[tuple((at + offset).T)].astype(np.float64)[:, None] * offset
     slope[~slope.any(axis=1), 2] = 1.0
     return slope / np.linalg.norm(slope, axis=1)[:, None]
-
-
-def _halves(axis: int) -> tuple[tuple[slice, ...], tuple[slice, ...]]:
-    """Return two slices along an axis: without the last entry, and without the first entry."""
-    low, high = ([slice(None)] * 3 for _ in range(2))
-    low[axis] = slice(0, -1)
-    high[axis] = slice(1, None)
-    return tuple(low), tuple(high)
 
 
 BOUNDARY_STEPS = 127

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,8 +71,7 @@ The volume error of a block with sharp edges is 0.07 % with 2 parts, and 0.04 % 
 _LOCAL = lattice(*[np.arange(BLOCK)] * 3)
 
 
-@dataclass(frozen=True, eq=False)
-class VoxelArrays:
+class VoxelArrays(NamedTuple):
     """Arrays of a `VoxelVolume` on a grid of whole blocks, while the arrays are filled.
 
     All arrays have the shape of the grid.
@@ -91,10 +90,7 @@ class VoxelArrays:
 
     def slab(self, start: int, stop: int) -> VoxelArrays:
         """Return views of the part of the arrays with the x indices `start` to `stop` - 1."""
-        part = slice(start, stop)
-        return VoxelArrays(
-            self.fraction[part], self.layer[part], self.density[part], self.surface[part]
-        )
+        return VoxelArrays._make(each[start:stop] for each in self)
 
 
 def voxel_fraction(
@@ -170,25 +166,29 @@ def _split_fraction(shape: Shape, centres: Singles, spacing_m: float) -> Singles
 def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
     """Fill `out` on a grid of whole blocks from the anatomy's signed distance."""
     firsts = grid.block_firsts()
+    blocks = [_by_blocks(array) for array in out]
+    counts = blocks[0].shape[:3]
     distance = anatomy.shape.distance(centres_of(firsts, grid.spacing_m, 0.5 * BLOCK))
+    distance = distance.reshape(counts)
     reach = np.float32(_HALF_DIAGONAL * BLOCK * grid.spacing_m)
     solid = distance <= -reach
     mixed = ~solid & (distance < reach)
-    blocks = [_by_blocks(array) for array in (out.fraction, out.layer, out.density, out.surface)]
     if solid.any():
-        plain, corners = _uniform_blocks(anatomy, grid)
-        plain &= solid & (not anatomy.thin_layers)
-        blocks[0][_index(solid, blocks[0])] = FULL
-        blocks[3][_index(solid, blocks[3])] = INSIDE
-        blocks[1][_index(plain, blocks[1])] = corners[0][plain][:, None, None, None]
-        blocks[2][_index(plain, blocks[2])] = np.rint(_interpolated(corners[1], grid, plain))
+        same, layers, densities = _uniform_blocks(anatomy, grid)
+        plain = same & solid & (not anatomy.thin_layers)
+        blocks[0][solid] = FULL
+        blocks[1][plain] = layers[plain][:, None, None, None]
+        blocks[2][plain] = np.rint(_interpolated(densities, plain))
+        blocks[3][solid] = INSIDE
         mixed |= solid & ~plain
-    for chosen in _chunks(np.flatnonzero(mixed)):
+    left = np.flatnonzero(mixed)
+    for start in range(0, len(left), _BLOCKS_AT_ONCE):
+        chosen = left[start : start + _BLOCKS_AT_ONCE]
         points = centres_of((firsts[chosen, None, :] + _LOCAL).reshape(-1, 3), grid.spacing_m, 0.5)
         depth = anatomy.shape.distance(points)
         fraction = voxel_fraction(anatomy.shape, points, depth, grid.spacing_m)
         layer, density = anatomy.classify(points, -depth)
-        where = np.unravel_index(chosen, blocks[0].shape[:3])
+        where = np.unravel_index(chosen, counts)
         surface = surface_steps(depth / np.float32(grid.spacing_m))
         # also outside the surface, because points between voxel centres use the two sides
         present = surface < OUTSIDE
@@ -197,15 +197,14 @@ def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
             block[where] = values.reshape(-1, BLOCK, BLOCK, BLOCK)
 
 
-def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, tuple[Bytes, Floats]]:
+def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, Bytes, Floats]:
     """Find the blocks for which all corners of the block and of its neighbours have the same layer.
 
     Returns
     -------
-    Flags of the n blocks in C order, shape (n,); layer of each block, shape (n,); densities at the
-    corners of the blocks [kg/m3], shape (bx + 1, by + 1, bz + 1).
+    Flags and layers of the blocks, shape (bx, by, bz); densities at the corners of the blocks
+    [kg/m3], shape (bx + 1, by + 1, bz + 1).
     """
-    counts = [n // BLOCK for n in grid.shape]
     axes = [
         np.arange(f - BLOCK, e + BLOCK + 1, BLOCK)
         for f, e in zip(grid.first, grid.last, strict=True)
@@ -215,10 +214,9 @@ def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, tuple[Bytes, F
     layer, density = anatomy.classify(points, -anatomy.shape.distance(points))
     layer = layer.reshape(size)
     density = density.reshape(size)
-    core = tuple(slice(1, 1 + n) for n in counts)
     same = _over_windows(np.maximum, layer) == _over_windows(np.minimum, layer)
     same &= BLOCK * grid.spacing_m <= _WIDEST_INTERPOLATION_M
-    return same.ravel(), (layer[core].ravel(), density[1:-1, 1:-1, 1:-1])
+    return same, layer[1:-2, 1:-2, 1:-2], density[1:-1, 1:-1, 1:-1]
 
 
 def _over_windows(combine: np.ufunc, values: Bytes) -> Bytes:
@@ -230,9 +228,9 @@ def _over_windows(combine: np.ufunc, values: Bytes) -> Bytes:
     return np.asarray(combine.reduce(windows, axis=(3, 4, 5)), dtype=np.uint8)
 
 
-def _interpolated(corners: Floats, grid: Grid, chosen: Flags) -> Singles:
+def _interpolated(corners: Floats, chosen: Flags) -> Singles:
     """Interpolate trilinearly to the voxel centres of the chosen blocks, shape (n, 8, 8, 8)."""
-    bx, by, bz = np.unravel_index(np.flatnonzero(chosen), [n // BLOCK for n in grid.shape])
+    bx, by, bz = np.nonzero(chosen)
     values = np.empty((len(bx), 2, 2, 2), dtype=np.float32)
     for i, j, k in np.ndindex(2, 2, 2):
         values[:, i, j, k] = corners[bx + i, by + j, bz + k]
@@ -256,15 +254,6 @@ def _by_blocks(array: NDArray[np.generic]) -> NDArray[np.generic]:
     """Return a view of an array of whole blocks, with the shape (bx, by, bz, 8, 8, 8)."""
     nx, ny, nz = (n // BLOCK for n in array.shape)
     return array.reshape(nx, BLOCK, ny, BLOCK, nz, BLOCK).transpose(0, 2, 4, 1, 3, 5)
-
-
-def _index(flags: Flags, blocks: NDArray[np.generic]) -> tuple[NDArray[np.intp], ...]:
-    return np.unravel_index(np.flatnonzero(flags), blocks.shape[:3])
-
-
-def _chunks(chosen: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
-    for start in range(0, len(chosen), _BLOCKS_AT_ONCE):
-        yield chosen[start : start + _BLOCKS_AT_ONCE]
 
 
 Region = tuple[Sequence[float] | Array, Sequence[float] | Array]
@@ -343,10 +332,8 @@ def voxelise(
         slice(f - b, f - b + n)
         for f, b, n in zip(grid.first, blocked.first, grid.shape, strict=True)
     )
-    fraction = np.ascontiguousarray(arrays.fraction[kept])
-    layer = np.ascontiguousarray(arrays.layer[kept])
-    density = np.ascontiguousarray(arrays.density[kept])
-    surface = np.ascontiguousarray(arrays.surface[kept])
+    cut = VoxelArrays._make(np.ascontiguousarray(each[kept]) for each in arrays)
+    fraction, layer, density, surface = cut
     known = surface < OUTSIDE
     if anatomy.sample is not None:
         surface = surface_of_fractions(fraction)

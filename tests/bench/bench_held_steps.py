@@ -129,7 +129,7 @@ def drops(course: Course) -> int:
 def compared(scene: Scene) -> dict[str, float]:
     """Measure one hand in a scene."""
     observer = FollowObserver()
-    simulate(scene, allow_unstable=True, observer=observer)
+    simulate(scene, allow_unstable=True, observers=[observer])
     rows = np.array(observer.rows)
     coarse, fine = followed(scene, rows, 1), followed(scene, rows, FINER)
     off_m = np.abs(coarse.tips_m - np.array(observer.tips_m)).max()

@@ -23,7 +23,6 @@ from harness import machine, table  # noqa: E402
 from tissue import load_scene  # noqa: E402
 from tissue.simulation.live.run import LiveObserver  # noqa: E402
 from tissue.simulation.observer import (  # noqa: E402
-    Observers,
     Prioritised,
 )
 from tissue.simulation.simulate import TICK_S, simulate  # noqa: E402
@@ -44,7 +43,7 @@ def ticks_of(name, raised, loaded):
         scene = load_scene(name, {"duration_s": TURN_S})
         observer = LiveObserver(scene, None)
         prioritised = Prioritised()
-        run = simulate(scene, observer=Observers(prioritised, observer) if raised else observer)
+        run = simulate(scene, observers=[prioritised, observer] if raised else [observer])
     finally:
         for process in busy:
             process.kill()

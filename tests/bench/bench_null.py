@@ -205,7 +205,7 @@ def mixed(rng: np.random.Generator, count: int) -> list[tuple[str, ...]]:
     for _ in range(count):
         trials = trials_of(rng, ["error"], 2, METHOD_SPREADS)
         cells = trials.cells("error")
-        for test in mixed_model(trials, "error").tests:
+        for test in mixed_model(trials, "error"):
             question = test.question.removeprefix("error: ")
             chosen, between = QUESTIONS[question]
             exact = strata(cells.values, cells.groups, cells.sizes, chosen, between=between)

@@ -17,7 +17,7 @@ import tissue
 from tissue.perception.laws import weber_of
 from tissue.perception.observer import Observer, population_observer
 from tissue.perception.perceived import held_back
-from tissue.simulation.builders.prediction import perception_for
+from tissue.simulation.builders.prediction import perception
 
 LIMIT_N, TICK_S = 3.3, 1e-3
 WEAK = Observer.known("weak", alpha=0.7, beta=1.4, kappa=0.09, offset_N=0.25, lapse=0.02, sigma=0.2)
@@ -31,9 +31,7 @@ RECORDED = {
 
 def built(observer: Observer):
     """Perception on a Touch."""
-    return perception_for(
-        observer, rng=np.random.default_rng(0), force_limit_N=LIMIT_N, tick_s=TICK_S
-    )
+    return perception(observer, rng=np.random.default_rng(0), force_limit_N=LIMIT_N, tick_s=TICK_S)
 
 
 def ticks(count: int) -> list[tuple[str, ...]]:

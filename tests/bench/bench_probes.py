@@ -20,7 +20,7 @@ from harness import machine, table
 from tissue.fitting.log_files import LogColumns
 from tissue.fitting.probe_fit import fit_curves, median_curve
 from tissue.fitting.probe_laws import ProbeCurves, layer_scene, probe_curves, shape_keys
-from tissue.fitting.probe_table import ProbeTable, read_probes
+from tissue.fitting.probe_table import ProbeTable, at_common_depths, read_presses
 from tissue.scene.load import load_scene
 
 FILE = Path(__file__).resolve().parents[3] / "shared" / "measured" / "pig_liver_probing.csv"
@@ -57,7 +57,8 @@ def regions() -> dict[str, ProbeTable]:
                 ("force_N", "normal_force_N"),
             )
         }
-        found[name] = read_probes(FILE, LogColumns(tuple(columns), columns.__getitem__))
+        read = read_presses(FILE, LogColumns(tuple(columns), columns.__getitem__))
+        found[name] = at_common_depths(FILE, *read)
     return found
 
 

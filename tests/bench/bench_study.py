@@ -6,9 +6,8 @@ The same trials run with one worker and with two. Printed are the trials of all 
 minute, from the end of the first trial of each worker to the end of the last trial, and the
 efficiency: the rate with two workers over twice the rate with one.
 
-With `--costs`, one warm trial of each task is timed instead, and a reference trial. Printed are
-the times of one method over that of `tissue.evaluation.study.duration.probe_s`, which are the
-figures of `COSTS` and `REFERENCE_COST`.
+With `--costs`, one warm trial of each task is timed instead. Printed are the times of one method
+over that of `tissue.evaluation.study.duration.probe_s`, which are the figures of `COSTS`.
 """
 
 import argparse
@@ -21,8 +20,8 @@ from harness import machine, table
 
 from tissue.evaluation.study.duration import probe_s
 from tissue.evaluation.study.folder import run_study
-from tissue.evaluation.study.plan import REFERENCE, TASKS, Plan, TrialKey
-from tissue.evaluation.study.trial import methods_of_trial, run_trial
+from tissue.evaluation.study.plan import Plan, TrialKey
+from tissue.evaluation.study.trial import run_trial
 
 WORKERS = (1, 2)
 GROUP = "intermediate"
@@ -53,7 +52,7 @@ def print_rates(trials: int, tasks: Sequence[str]) -> None:
     """Print the rates with one and two workers."""
     # The other groups cost the same. With one group, each worker judges every loop in its first
     # round of tasks.
-    plan = Plan(trials=trials, tasks=tuple(tasks), groups=(GROUP,), sensitivity=False)
+    plan = Plan(trials=trials, tasks=tuple(tasks), groups=(GROUP,))
     rates = {workers: rate_per_min(plan, workers) for workers in WORKERS}
     rows = [
         (f"{workers}", f"{rate:.1f}", f"{rate / (workers * rates[1]):.2f}")
@@ -64,7 +63,7 @@ def print_rates(trials: int, tasks: Sequence[str]) -> None:
 
 
 def print_costs(tasks: Sequence[str]) -> None:
-    """Print the processor time of one method of a warm trial, and of a reference trial."""
+    """Print the processor time of one method of a warm trial."""
     plan = Plan()
     unit_s = probe_s(process_time)
     rows = []
@@ -73,15 +72,11 @@ def print_costs(tasks: Sequence[str]) -> None:
         # the first trial loads the code and judges the loops
         run_trial(plan, key)
         times = [timed_s(plan, TrialKey(task, GROUP, each)) for each in (1, 2)]
-        method_s = sum(times) / len(times) / len(methods_of_trial(plan, key))
-        reference = ""
-        if not TASKS[task].case:
-            finest_s = timed_s(plan, TrialKey(task, GROUP, 0, REFERENCE))
-            reference = f"{finest_s / method_s:.1f}"
+        method_s = sum(times) / len(times) / len(plan.methods)
         unit_s = 0.5 * (unit_s + probe_s(process_time))
-        rows.append((task, f"{method_s:.2f}", f"{method_s / unit_s:.1f}", reference))
+        rows.append((task, f"{method_s:.2f}", f"{method_s / unit_s:.1f}"))
         print(*rows[-1], flush=True)
-    print(table(rows, ("task", "one method / s", "over the probe", "reference trial, ratio")))
+    print(table(rows, ("task", "one method / s", "over the probe")))
 
 
 def timed_s(plan: Plan, key: TrialKey) -> float:

@@ -106,7 +106,7 @@ def least_us(scenes: Sequence[Scene]) -> list[np.ndarray]:
     for _ in range(ADDED_RUNS):
         for scene, runs in zip(scenes, found, strict=True):
             clocked = Clocked()
-            run = simulate(scene, allow_unstable=True, observer=clocked)
+            run = simulate(scene, allow_unstable=True, observers=[clocked])
             touching = np.flatnonzero(run.trace["contact_mm2"] > 0.0)[SETTLED:]
             if not touching.size:
                 raise InputError(

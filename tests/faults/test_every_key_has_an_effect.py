@@ -84,6 +84,8 @@ def changes(table: dict[str, Any], key: str, files: dict[str, str]) -> dict[str,
         liver = table["anatomy"]["kind"] == "liver"
         diameter, centre = (37.0, [-15.0, -5.0, -60.0]) if liver else (13.0, [0.0, 0.0, -13.0])
         return {key: diameter, "anatomy.nodule_centre_mm": centre}  # a centre alone has no effect
+    if key == "keep_clear.margin_mm":
+        return {key: 0.3, "keep_clear.files": {"canal": files["finger"]}}  # a margin needs one
     named: dict[str, Any] = {
         "device": "omni" if "device" in table else "touch",  # a tool that stands still needs one
         "keep_clear.names": ["pulp" if table["anatomy"]["kind"] == "molar" else "canal"],

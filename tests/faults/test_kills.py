@@ -52,7 +52,7 @@ STUDY = (
         "--methods",
         "penalty",
     ),
-    *("--no-sensitivity", "--workers", "2"),
+    *("--workers", "2"),
 )
 
 

@@ -13,7 +13,6 @@ from tissue.haptics.hand.hand import hand_parameters
 from tissue.haptics.rigid_wall import knock
 from tissue.models.tooth.body import INNER_STRENGTH, LEAST_FILL, ParticleBody
 from tissue.models.tooth.grid import NodeSupports
-from tissue.prediction.predictor import Kalman
 from tissue.scene.load import load_scene
 from tissue.scene.organ import Organ, SlabAnatomy
 from tissue.simulation.builders.organ import elasticity_of
@@ -100,8 +99,3 @@ def test_a_tooth_without_supports_or_with_too_few_iterations_is_reported():
     assert short.outcome is SolverOutcome.NOT_CONVERGED
     loose = ParticleBody(body.particles, body.grid, NodeSupports.of(body.grid.node_count))
     assert loose.solve(pushed(loose)).outcome is SolverOutcome.UNSUPPORTED
-
-
-def test_a_kalman_filter_without_noise_is_refused():
-    with pytest.raises(InputError, match="jerkiness"):
-        Kalman(0.0)

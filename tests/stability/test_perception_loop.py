@@ -19,7 +19,7 @@ from tissue.haptics.rigid_wall import press_wall
 from tissue.perception.laws import weber_of
 from tissue.perception.observer import population_observer
 from tissue.perception.perceived import held_back
-from tissue.simulation.builders.prediction import CAUTION, perception_for
+from tissue.simulation.builders.prediction import CAUTION, perception
 
 TICK = 1e-3
 LAW = weber_of(population_observer(), quantile=CAUTION)
@@ -53,7 +53,7 @@ class Felt:
 
 
 def population_on(parameters, friction_N=np.inf):
-    return perception_for(
+    return perception(
         population_observer(),
         rng=np.random.default_rng(1),
         force_limit_N=parameters.force_limit_N,

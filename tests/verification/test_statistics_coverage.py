@@ -1,14 +1,25 @@
 """Planted effects are recovered, and intervals hold the truth as often as they claim."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from tissue.evaluation.statistics.error_rates import QUESTIONS, rejection_rates
 from tissue.evaluation.statistics.hypothesis_test import cohens_d, partial_eta_squared
-from tissue.evaluation.statistics.mixed import Components, regression
+from tissue.evaluation.statistics.mixed import regression
 from tissue.evaluation.statistics.sign_flips import pair_scores, sign_test, sign_test_p
 from tissue.evaluation.statistics.strata import pillai, strata
+
+
+class Components(NamedTuple):
+    """Variances of users, of users by method, of trials and of the rest."""
+
+    user: float
+    user_method: float
+    trial: float
+    residual: float
 
 
 def simulated_cells(components, means, *, users_per_group, trials, populations, rng):

@@ -113,12 +113,10 @@ def calibrate(
             numbers=NUMBERS if numbers is None else numbers,
             force_limit_N=limit_N,
         )
-        _session(target, name, plan, answer, live=not ask, overwrite=overwrite)
+        _session(target, name, plan, answer, overwrite=overwrite)
 
 
-def _session(
-    target: Path, name: str, plan: "Plan", answer: "Answer", *, live: bool, overwrite: bool
-) -> None:
+def _session(target: Path, name: str, plan: "Plan", answer: "Answer", *, overwrite: bool) -> None:
     """Run or continue a session after the last answer in its log, and write its files."""
     from meshes.base.whole_file import whole_file
     from tissue.evaluation.calibration.answers import begin
@@ -130,7 +128,7 @@ def _session(
         problems.print(f"{log.path} ended within a line: that trial is asked again")
     if log.session.trial:
         problems.print(f"continuing at trial {log.session.trial + 1} of {log.path}")
-    _ask_all(log, answer, live=live)
+    _ask_all(log, answer)
     session = log.session
     # Both files are moved into place together. If one of them exists, the session is complete.
     with whole_file(target.with_suffix(".png")) as drawn:
@@ -143,28 +141,16 @@ def _session(
     console.print(f"wrote {files}")
 
 
-def _ask_all(log: "TrialLog", answer: "Answer", *, live: bool) -> None:
+def _ask_all(log: "TrialLog", answer: "Answer") -> None:
     """Ask the remaining questions; if the user stops, print how to continue."""
-    from rich.live import Live
-
     from tissue.evaluation.calibration.answers import StoppedError
-    from tissue.evaluation.calibration.population_fit import posterior_panel
     from tissue.evaluation.calibration.session import read_log
 
     session: Session = log.session
-    moving = live and problems.is_terminal
     try:
-        # 12 pictures per second look continuous in a terminal.
-        with Live(
-            console=problems, refresh_per_second=12, transient=True, auto_refresh=moving
-        ) as shown:
-            while not session.complete:
-                asked = session.ask()
-                log.take(asked, answer(asked, session.trial))
-                if moving:
-                    shown.update(posterior_panel(session))
-                elif problems.is_terminal:
-                    problems.print(posterior_panel(session))
+        while not session.complete:
+            asked = session.ask()
+            log.take(asked, answer(asked, session.trial))
     except (KeyboardInterrupt, StoppedError) as stopped:
         log.close()
         problems.print(

@@ -7,7 +7,7 @@ from typing import Any, Literal
 from cyclopts import Parameter
 
 from meshes.base.errors import InputError, names_of_caller
-from tissue.cli.terminal import Flag, MaybeWhole, MemoryGB, Texts, console
+from tissue.cli.terminal import Flag, MaybeWhole, MemoryGB, Numbers, Texts, console
 from tissue.system.progress import progress
 
 __all__ = ["import_"]
@@ -43,7 +43,7 @@ class ImageOptions:
     labels: Path | None = None
     label_names: str | None = None
     region: str | None = None
-    crop: str | None = None
+    crop: Numbers = None
     threshold: float | None = None
     series: MaybeWhole = None
     spacing_mm: str | None = None
@@ -77,8 +77,8 @@ class SceneOptions:
         repeated.
     """
 
-    site: str | None = None
-    normal: str | None = None
+    site: Numbers = None
+    normal: Numbers = None
     coordinates: Literal["LPS", "RAS"] = "LPS"
     path: Path | None = None
     feed_mm_s: float | None = None

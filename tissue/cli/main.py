@@ -2,13 +2,12 @@
 
 import errno
 import os
-import re
 import sys
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Literal, NoReturn
+from typing import Any, NoReturn
 
 from cyclopts import (
     App,
@@ -123,31 +122,9 @@ app = App(
 for command in COMMANDS:
     app.command(command)
 
-Shell = Literal["bash", "zsh", "fish"]
-SHELLS: dict[str, Shell] = {"bash": "bash", "zsh": "zsh", "fish": "fish"}
-
-
-@app.command(name="--install-completion")
-def install_completion(*, shell: str | None = None) -> None:
-    """Install completion of commands and options in a shell.
-
-    Parameters
-    ----------
-    shell
-        bash, zsh or fish; default the shell in use.
-    """
-    from cyclopts.completion.detect import ShellDetectionError, detect_shell
-
-    from meshes.base.text_tables import unknown_name
-
-    chosen = shell
-    if chosen is None:
-        with suppress(ShellDetectionError):
-            chosen = detect_shell()
-    if chosen not in SHELLS:
-        raise unknown_name("--shell", SHELLS, chosen or "one that is not recognised")
-    path = app.install_completion(shell=SHELLS[chosen])
-    console.print(f"wrote {path}: open a new {chosen} to use it")
+app.register_install_completion_command(
+    add_to_startup=False, help="Install completion of commands and options in a shell."
+)
 
 
 BAD_INPUT = 2
@@ -174,7 +151,7 @@ def main() -> NoReturn:
     try:
         with terminated_as_exception(), _plain_warnings():
             try:
-                app(arguments(sys.argv[1:]), exit_on_error=False, print_error=False)
+                app(sys.argv[1:], exit_on_error=False, print_error=False)
             finally:
                 # Names of parts appear only in the help of a command. Searching the packages takes
                 # time.
@@ -218,23 +195,6 @@ def main() -> NoReturn:
         # 130: 128 plus the number of SIGINT, as shells expect it.
         sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)
     sys.exit(0)
-
-
-NEGATIVE_LIST = re.compile(r"-[\d.][\d.e+-]*(,\s*[\d.e+-]+)+", re.IGNORECASE)
-
-
-def arguments(words: list[str]) -> list[str]:
-    """Return the words of a command line, with each list such as -8,-13,0 joined to its option.
-
-    A separate word that begins with a minus would be read as an option.
-    """
-    found: list[str] = []
-    for word in words:
-        if found and found[-1].startswith("--") and NEGATIVE_LIST.fullmatch(word):
-            found[-1] += f"={word}"
-        else:
-            found.append(word)
-    return found
 
 
 @contextmanager

@@ -1,7 +1,7 @@
 """``tissue run``."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
@@ -19,6 +19,7 @@ from tissue.cli.terminal import (
     Texts,
     console,
     left_out,
+    print_table,
 )
 from tissue.system.progress import progress
 
@@ -32,36 +33,26 @@ __all__ = ["print_summary", "run"]
 
 def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: float) -> None:
     """Print the summary of a run as a table."""
-    from rich.table import Table
-
     from tissue.show.report.page import band_lines, run_rows
 
-    table = Table(
-        title=f"{summary['scene']}: {summary['simulated_s']:g} s simulated in {wall_s:.1f} s"
-    )
-    table.add_column("quantity")
-    table.add_column("value", justify="right")
-    for quantity, value in run_rows(summary):
-        table.add_row(quantity, value)
+    rows = run_rows(summary)
     band = summary.get("band")
     for name, key, unit in (("force", "force_N", "N"), ("torque", "torque_Nm", "N m")):
         # If the tool touches nothing, there is no band.
         if band is not None and band[key]["peak"]["p95"] > 0.0:
-            table.add_row(f"{name}, 90 % of {band['samples']} samples", _ends(band[key], unit))
+            rows.append((f"{name}, 90 % of {band['samples']} samples", _ends(band[key], unit)))
     if heat := summary.get("bone_heat"):
         rises = f"{heat['largest_rise_K']:.1f} / {heat['rise_at_half_mm_K']:.2f} K"
-        table.add_row("rise of the remaining bone, largest / 0.5 mm from the cut", rises)
-    for quantity, value in _scheduling_rows(summary):
-        table.add_row(quantity, value)
+        rows.append(("rise of the remaining bone, largest / 0.5 mm from the cut", rises))
+    rows += _scheduling_rows(summary)
     if "late_us" in summary:
         late = summary["late_us"]
-        table.add_row(
-            "delay of ticks, median / 99 % / max",
-            f"{late['median']:.0f} / {late['p99']:.0f} / {late['max']:.0f} µs",
-        )
-        table.add_row("wall clock skipped", f"{summary['skipped_ms']:.1f} ms")
-    table.add_row("writing files and pictures", f"{saving_s:.1f} s")
-    console.print(table)
+        times = f"{late['median']:.0f} / {late['p99']:.0f} / {late['max']:.0f} µs"
+        rows.append(("delay of ticks, median / 99 % / max", times))
+        rows.append(("wall clock skipped", f"{summary['skipped_ms']:.1f} ms"))
+    rows.append(("writing files and pictures", f"{saving_s:.1f} s"))
+    done = f"{summary['scene']}: {summary['simulated_s']:g} s simulated in {wall_s:.1f} s"
+    print_table(("quantity", "value"), rows, caption=done)
     for event in summary["events"]:
         console.print(f"at {event['time_s']:.3f} s: {event['what']}")
     for name, note in summary["notes"].items():
@@ -272,34 +263,33 @@ def run(
     folder = files.out or Path("runs") / loaded.name
     RunFolder.check(folder, overwrite=engine.overwrite)
     started = perf_counter()
-    with _naming_stop(folder):
-        # In a live run, a progress bar would delay the ticks, which need the interpreter.
-        with nullcontext(silent) if live.live else progress() as report:
-            report("starting Warp", 0.0)
-            from tissue.objects.simulate import simulate, simulate_live
+    # In a live run, a progress bar would delay the ticks, which need the interpreter.
+    with nullcontext(silent) if live.live else progress() as report:
+        report("starting Warp", 0.0)
+        from tissue.objects.simulate import simulate, simulate_live
 
-            options = {"out": folder, "progress": report, **asdict(engine)}
-            if how is None:
-                finished = simulate(loaded, **options)
-            else:
-                console.print(f"live: {how.mover(loaded)[1]}; Ctrl-C ends it")
-                finished = simulate_live(loaded, how, **options)
-        simulated = perf_counter()
+        options = {"out": folder, "progress": report, **asdict(engine)}
+        if how is None:
+            finished = simulate(loaded, **options)
+        else:
+            console.print(f"live: {how.mover(loaded)[1]}; Ctrl-C ends it")
+            finished = simulate_live(loaded, how, **options)
+    simulated = perf_counter()
+    with progress() as report:
+        finished.save(folder, formats=files.format_, pictures=drawn, progress=report)
+    if band.band is not None:
         with progress() as report:
-            finished.save(folder, formats=files.format_, pictures=drawn, progress=report)
-        if band.band is not None:
-            with progress() as report:
-                finished.band(
-                    band.band,
-                    seed=seed,
-                    workers=band.workers,
-                    scheduler=band.scheduler,
-                    each_run=band.each_run,
-                    compute=engine.compute,
-                    cores=engine.cores,
-                    pictures=drawn,
-                    progress=report,
-                )
+            finished.band(
+                band.band,
+                seed=seed,
+                workers=band.workers,
+                scheduler=band.scheduler,
+                each_run=band.each_run,
+                compute=engine.compute,
+                cores=engine.cores,
+                pictures=drawn,
+                progress=report,
+            )
     print_summary(
         finished.summary,
         folder,
@@ -390,24 +380,3 @@ def _check_band(scene: "Scene", options: BandOptions, *, live: bool) -> None:
     from tissue.fitting.bands.band import require_band
 
     require_band(scene, options.band, options.workers, options.scheduler, each_run=options.each_run)
-
-
-@contextmanager
-def _naming_stop(folder: Path) -> Iterator[None]:
-    """Add to Ctrl-C or SIGTERM a note that nothing was written, if the folder is unchanged."""
-    before = _written(folder)
-    try:
-        yield
-    except KeyboardInterrupt as stopped:
-        if _written(folder) == before:
-            stopped.args = ("stopped before anything was written",)
-        raise
-
-
-def _written(folder: Path) -> tuple[int, int] | None:
-    """Return the identity of the summary file in a folder; None if there is no summary."""
-    try:
-        found = (folder / "summary.json").stat()
-    except OSError:
-        return None
-    return found.st_mtime_ns, found.st_ino

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from meshes.base.progress import silent
-from tissue.cli.terminal import Flag, Formats, Texts, console, left_out
+from tissue.cli.terminal import Flag, Formats, Texts, console, left_out, print_table
 from tissue.system.progress import progress
 
 __all__ = ["assess", "compare", "report", "view"]
@@ -60,9 +60,8 @@ def assess(
         "deviation_limit_mm": deviation_limit_mm,
         "overshoot_limit_mm": overshoot_limit_mm,
     }
+    given = {name: value for name, value in limits.items() if value is not None}
     several = folder.is_dir() and not ranking.is_run(folder)
-    if several:
-        left_out("for a folder of trainees", "remove it, or name the folder of one run", **limits)
     if out is None:
         left_out("without --out, because no file is written", "remove it", overwrite=overwrite)
     elif several:
@@ -70,11 +69,7 @@ def assess(
     else:
         require_folder(out, "assessment", assessment_files.FILES, overwrite=overwrite)
     found: Assessment | Ranking
-    if several:
-        found = rank(folder, against)
-    else:
-        given = {name: value for name, value in limits.items() if value is not None}
-        found = assessed(folder, against, **given)
+    found = rank(folder, against, **given) if several else assessed(folder, against, **given)
     console.print(str(found))
     if out is not None:
         written = found.save(out, overwrite=overwrite)
@@ -105,8 +100,6 @@ def compare(
     overwrite
         Replace the comparison that the folder already holds.
     """
-    from rich.table import Table
-
     from tissue.objects.comparison import FILES, KIND, split_formats
     from tissue.objects.comparison import compare as compared
     from tissue.system.owned_folder import require_folder
@@ -124,13 +117,8 @@ def compare(
         require_folder(out, KIND, FILES, overwrite=overwrite)
     found = compared(*folders)
     titles, rows = found.texts()
-    table = Table(titles[0])
-    for title in titles[1:]:
-        table.add_column(title, justify="right", overflow="fold")
-    for row in rows:
-        table.add_row(*row)
     if rows:
-        console.print(table)
+        print_table(titles, rows)
     console.print(*found.lines(), sep="\n")
     if out is not None:
         written = found.save(out, over=over, formats=format_, overwrite=overwrite)
@@ -220,7 +208,9 @@ def view(
     from tissue.show.viewer.run_scene import Choice
     from tissue.show.viewer.view import view as show
 
-    opened = (lambda address: console.print(f"open {address}; Ctrl-C ends it")) if web else None
+    def opened(address: str) -> None:
+        console.print(f"open {address}\nCtrl-C ends the page.")
+
     with nullcontext(silent) if movie is None else progress() as report:
         shown = show(
             folder,
@@ -229,6 +219,6 @@ def view(
             movie=movie,
             overwrite=overwrite,
             progress=report,
-            opened=opened,
+            opened=opened if web else None,
         )
     console.print(shown)

@@ -43,8 +43,6 @@ class PlanOptions:
         method.
     groups
         Groups of simulated hands among novice, intermediate and expert; default all.
-    sensitivity
-        Also repeat a few trials with one changed parameter, and compare them with the finest model.
     seed
         Seed of all random draws.
     """
@@ -53,7 +51,6 @@ class PlanOptions:
     tasks: Names = ()
     methods: Names = ()
     groups: Names = ()
-    sensitivity: bool = True
     seed: Whole = 0
 
     def plan(self) -> "Plan":
@@ -71,7 +68,6 @@ class PlanOptions:
         return Plan(
             seed=self.seed,
             trials=self.trials,
-            sensitivity=self.sensitivity,
             **{name: words for name, words in split.items() if words},
         )
 
@@ -146,13 +142,11 @@ def run(
         folder = run_study(
             plan, out, workers=workers, scheduler=scheduler, retry=retry, report=report
         )
-    kept = list(folder.trials(variant=None))
+    kept = list(folder.trials())
     failed = sum(trial.failed for trial in kept)
     console.print(f"{counted(len(kept), 'trial')} in {out}, {failed} with a failure")
     for task in plan.tasks:
-        took = sorted(
-            trial.took_s for trial in kept if trial.key.task == task and not trial.key.variant
-        )
+        took = sorted(trial.took_s for trial in kept if trial.key.task == task)
         console.print(
             f"{task}: {took[len(took) // 2]:.1f} s a trial of "
             f"{counted(len(plan.methods), 'method')}"

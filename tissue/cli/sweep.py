@@ -9,7 +9,7 @@ from pathlib import Path
 
 from meshes.base.errors import InputError
 from meshes.base.text_tables import read_toml
-from tissue.cli.terminal import Flag, Formats, MaybeWhole, Overrides, console, problems
+from tissue.cli.terminal import Flag, Formats, MaybeWhole, Overrides, console, print_table, problems
 from tissue.system.progress import progress
 
 __all__ = ["parse_values", "sweep"]
@@ -61,8 +61,6 @@ def sweep(
     allow_unstable
         Run a device even if its coupling is unstable.
     """
-    from rich.table import Table
-
     from tissue.objects.sweep import sweep as swept
     from tissue.scene.load import load_scene
 
@@ -86,12 +84,8 @@ def sweep(
             progress=report,
         )
     titles, rows = found.texts()
-    table = Table(title=f"{loaded.name}: {len(found.finished)} of {len(found.runs)} runs")
-    for title in titles:
-        table.add_column(title, justify="right", overflow="fold")
-    for row in rows:
-        table.add_row(*row)
-    console.print(table)
+    done = f"{loaded.name}: {len(found.finished)} of {len(found.runs)} runs"
+    print_table(titles, rows, caption=done)
     for name, problem in found.failures.items():
         problems.print(f"{name}: {problem}")
     for name, note in found.notes.items():

@@ -1,6 +1,6 @@
 """Consoles, types of options, and checks that all commands share."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Annotated, Any
 
 from cyclopts import CoercionError, Parameter, Token
@@ -15,11 +15,13 @@ __all__ = [
     "Formats",
     "MaybeWhole",
     "MemoryGB",
+    "Numbers",
     "Overrides",
     "Texts",
     "Whole",
     "console",
     "left_out",
+    "print_table",
     "problems",
 ]
 
@@ -59,7 +61,23 @@ Whole = Annotated[int, Parameter(converter=whole)]
 MaybeWhole = Annotated[int | None, Parameter(converter=whole)]
 ADDRESS = {"hardware.address": "--address"}
 """Option of a command, keyed by the scene key that the option replaces in messages."""
+Numbers = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
+"""Numbers separated by commas; the first number may be negative."""
 MemoryGB = Annotated[float | None, Parameter(name="--max-memory-GB")]
+
+
+def print_table(
+    titles: Sequence[str], rows: Iterable[Sequence[str]], *, caption: str | None = None
+) -> None:
+    """Print rows of texts below their titles, all but the first column aligned to the right."""
+    from rich.table import Table
+
+    table = Table(titles[0], title=caption)
+    for title in titles[1:]:
+        table.add_column(title, justify="right", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    console.print(table)
 
 
 def left_out(where: str, remedy: str, **flags: object) -> None:

@@ -5,7 +5,7 @@ site (the place where the tool works) and its surroundings.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,6 @@ from meshes.ct.calibration import density_law
 from meshes.ct.density import CT_DENSITY, DENSITY_LAWS, DensityLaw
 from meshes.ct.extraction import BoneOfImage, by_label, by_threshold, cropped
 from meshes.ct.inspection import (
-    Histogram,
     Inspection,
     bone_label_note,
     histogram_of,
@@ -37,16 +36,16 @@ from tissue.ct.draft import (
     write_labels,
     write_surface,
 )
-from tissue.ct.request import ImportedPath, ImportRequest, Placed, import_path, kept_clear, placed
+from tissue.ct.request import ImportRequest, Placed, import_path, kept_clear, placed
 from tissue.scene.load import load_scene
 from tissue.scene.tool import Tool
 from tissue.show.figures.ct_pictures import (
     Marks,
-    depth_below,
     draw_ct_bone,
     draw_ct_histogram,
     draw_ct_slices,
     draw_path_depth,
+    mesh_of,
 )
 
 __all__ = ["bone_draft"]
@@ -87,15 +86,203 @@ REMARKS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class _Source:
-    """Cropped image and labels of a bone, and results of the inspection of the whole image."""
+class _BoneImport:
+    """Import of a bone, whose attributes are set one after the other by `draft`.
 
-    image: Image
-    labels: Labels | None
-    inspection: Inspection
-    histogram: Histogram
-    law: DensityLaw | None
+    Attributes
+    ----------
+    request
+        Options of the import.
+    image, labels
+        Cropped image and labels; `labels` is None without labels.
+    inspection, histogram
+        Properties of the whole image. A threshold needs air and soft tissue, which a crop may not
+        contain.
+    law
+        Density law; None if the image does not allow one.
+    bone, threshold
+        The bone; and the grey value above which a voxel is bone, None with labels.
+    surface, density
+        Surface of the bone, and its apparent density [kg/m3] or None.
+    clear
+        Structures to keep clear of, keyed by their names in the scene.
+    at, path
+        Site and toolpath; None if there is none.
+    sentences
+        Findings and assumptions for the user.
+    """
+
+    labels: Labels | None = None
+    threshold: float | None = None
+    density: Image | None = None
+
+    def __init__(self, request: ImportRequest) -> None:
+        self.request = request
+        self.sentences: list[str] = []
+
+    def draft(self, name: str, progress: Progress) -> Draft:
+        """Create the content of the output folder for a scene with a name."""
+        request = self.request
+        self._read(progress)
+        progress("finding the bone", 0.0)
+        self._find_bone()
+        bone = self.bone
+        self.surface = _surface(bone, self.inspection.source)
+        self.sentences += [
+            *bone.notes,
+            f"bone of {bone.volume_mm3 * 1e-3:.4g} ml, {len(self.surface.faces)} triangles",
+        ]
+        files: dict[str, Writer] = {"bone.ply": partial(write_surface, self.surface)}
+        anatomy: dict[str, Any] = {"kind": "bone", "file": "bone.ply"}
+        if self.law is not None:
+            progress("finding the density", 0.0)
+            self.density = bone.density(self.law)
+            certainty = _certainty(bone, self.density, self.law)
+            self.sentences.append(f"density by {certainty} ({self.law.source})")
+            files["density.nrrd"] = partial(write_density, self.density, law=certainty)
+            anatomy["density_file"] = "density.nrrd"
+        # the user's labels are resampled to the voxels of the bone
+        if self.labels is not None:
+            blank = replace(bone.image, values=np.zeros(bone.image.values.shape, np.uint8))
+            files["labels.seg.nrrd"] = partial(write_labels, on_grid_of(self.labels, blank))
+        self.clear, kept = kept_clear(request, self.labels, progress)
+        kept_files = {each: f"keep_clear_{each}.ply" for each in self.clear}
+        for each, structure in self.clear.items():
+            files[kept_files[each]] = partial(write_surface, structure)
+        progress("finding the site", 0.0)
+        self.at, sentence = placed(request, self.surface)
+        self.sentences += [sentence, *kept]
+        self.path = import_path(request, self.at, self.surface)
+        if self.path is not None:
+            self.sentences.append(self.path.sentence)
+            files["path.csv"] = self.path.table.write
+        scene = _scene_text(
+            {
+                "name": name,
+                "description": f"{request.region or 'bone'} of {self.inspection.source}",
+            },
+            anatomy | {"scale_mm": 1.0},
+            self.at,
+            _followed(request.like, self.at, replay=self.path is not None),
+            {"keep_clear": {"files": kept_files}} if kept_files else {},
+        )
+        has_site = self.at is not None
+        return Draft(scene, self._record(), files | self._pictures(), self.sentences, has_site)
+
+    def _read(self, progress: Progress) -> None:
+        """Read and inspect the image and the labels, and calibrate the density."""
+        request = self.request
+        progress("reading the image", 0.0)
+        image = request.read_image()
+        self.inspection = inspect(image)
+        self.sentences += [*image.notes, *self.inspection.sentences()]
+        if request.labels is not None:
+            progress("reading the labels", 0.0)
+            self.labels = request.read_labels(image)
+            self.sentences += self.labels.image.notes
+        progress("calibrating the density", 0.0)
+        self.law = _law(request.density.strip(), image, self.inspection)
+        if self.law is None:
+            self.sentences.append(
+                "density: unknown, for the values are not Hounsfield units; the bone gets a "
+                "shell of even thickness. Give --density line:SLOPE,OFFSET to use them"
+            )
+        self.histogram = histogram_of(image.values)
+        if (box := request.box_mm) is not None:
+            with names_of_caller({"crop": "crop_mm"}):
+                image = cropped(image, box)
+            if self.labels is not None:
+                self.labels = replace(self.labels, image=cropped(self.labels.image, box))
+        self.image = image
+
+    def _find_bone(self) -> None:
+        """Extract the bone from the image by its label, or by a threshold."""
+        region = self.request.region
+        is_hounsfield = self.inspection.is_hounsfield
+        if self.labels is None or region is None:
+            threshold, note = suggest_threshold(self.histogram, is_hounsfield=is_hounsfield)
+            # a threshold given by the user replaces the suggested threshold
+            if self.request.threshold is not None:
+                threshold = self.request.threshold
+                note = f"threshold {threshold:g}, as given"
+            self.bone = by_threshold(self.image, threshold)
+            self.threshold = threshold
+            self.sentences.append(note)
+            return
+        with names_of_caller({"label": "region"}):
+            mask = self.labels.mask(region)
+        if is_hounsfield and mask.any():
+            note = bone_label_note(self.image, mask, region)
+            self.sentences += [note] if note else []
+        self.bone = bone = by_label(self.image, mask)
+        self.sentences.append(
+            f"bone: {region} of the labels, its steps smoothed; volume "
+            f"{bone.volume_mm3 / bone.label_mm3 - 1.0:+.1%} against {1e-3 * bone.label_mm3:.4g} ml "
+            "of the label"
+        )
+
+    def _record(self) -> dict[str, Any]:
+        """Return the results as plain numbers."""
+        found = self.inspection
+        site = None
+        if self.at is not None:
+            site = {
+                "kind": self.at.kind,
+                "centre_mm": (1e3 * self.at.site.centre_m).tolist(),
+                "rotation": self.at.site.rotation.tolist(),
+            }
+        return {
+            "source": found.source,
+            "voxels": list(found.shape),
+            "spacing_mm": list(found.spacing_mm),
+            "low_mm": list(found.low_mm),
+            "high_mm": list(found.high_mm),
+            "noise_HU": found.noise,
+            "metal_mm3": found.metal_mm3,
+            "density_law": None if self.law is None else self.law.as_dict(),
+            "site": site,
+            "threshold": self.threshold,
+            "bone_mm3": self.bone.volume_mm3,
+        }
+
+    def _pictures(self) -> dict[str, Writer]:
+        """Return functions that draw pictures of the bone with its site, path and surroundings."""
+        title = self.inspection.source
+        vertices_mm = 1e3 * self.surface.vertices_m
+        low_mm = vertices_mm.min(axis=0)
+        high_mm = vertices_mm.max(axis=0)
+        # without a site, the slices go through the middle of the bone
+        marks = Marks(0.5 * (low_mm + high_mm))
+        if self.at is not None:
+            marks = Marks(1e3 * self.at.site.centre_m, self.at.site.rotation[:, 2])
+        if self.path is not None:
+            marks = replace(marks, points_mm=self.path.depth.points_mm)
+        outlines = {"bone": self.surface}
+        outlines |= {f"{each}, to keep clear of": found for each, found in self.clear.items()}
+        box_mm = tuple((low_mm - SHOWN_MM).tolist()), tuple((high_mm + SHOWN_MM).tolist())
+        around = cropped(self.image, box_mm)
+        inside = self.bone.image.values[self.bone.field > self.bone.level]
+
+        def draw_slices(file: Path) -> None:
+            """Draw slices of the CT with the outlines of the bone and of its surroundings."""
+            meshes = {
+                each: mesh_of(1e3 * found.vertices_m, found.faces)
+                for each, found in outlines.items()
+            }
+            draw_ct_slices(around, file, meshes, marks)
+
+        pictures: dict[str, Writer] = {
+            "slices.png": draw_slices,
+            "histogram.png": lambda file: draw_ct_histogram(
+                self.histogram, inside, file, threshold=self.threshold, law=self.law, title=title
+            ),
+            "bone.png": lambda file: draw_ct_bone(
+                self.surface, file, marks, density=self.density, title=title
+            ),
+        }
+        if self.path is not None:
+            pictures["path.png"] = partial(draw_path_depth, self.path.depth, title=title)
+        return pictures
 
 
 def bone_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
@@ -106,96 +293,13 @@ def bone_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
     InputError
         If the image or an option cannot be used. The error then has the findings so far as notes.
     """
-    source, sentences = _source(request, progress)
+    found = _BoneImport(request)
     try:
-        return _draft(request, name, progress, (source, sentences))
+        return found.draft(name, progress)
     except InputError as error:
-        for sentence in sentences:
+        for sentence in found.sentences:
             error.add_note(sentence)
         raise
-
-
-def _draft(
-    request: ImportRequest,
-    name: str,
-    progress: Progress,
-    inspected: tuple[_Source, list[str]],
-) -> Draft:
-    """Create the draft from an inspected image, and append findings to the given sentences."""
-    source, sentences = inspected
-    progress("finding the bone", 0.0)
-    bone, threshold, found = _bone(request, source)
-    surface = _surface(bone, source.inspection.source)
-    sentences += [
-        *found,
-        *bone.notes,
-        f"bone of {bone.volume_mm3 * 1e-3:.4g} ml, {len(surface.faces)} triangles",
-    ]
-    files: dict[str, Writer] = {"bone.ply": partial(write_surface, surface)}
-    tables: dict[str, Any] = {"kind": "bone", "file": "bone.ply"}
-    density = None
-    if source.law is not None:
-        progress("finding the density", 0.0)
-        density = bone.density(source.law)
-        certainty = _certainty(bone, density, source.law)
-        sentences.append(f"density by {certainty} ({source.law.source})")
-        files["density.nrrd"] = partial(write_density, density, law=certainty)
-        tables["density_file"] = "density.nrrd"
-    # the user's labels are resampled to the voxels of the bone
-    if source.labels is not None:
-        blank = replace(bone.image, values=np.zeros(bone.image.values.shape, np.uint8))
-        files["labels.seg.nrrd"] = partial(write_labels, on_grid_of(source.labels, blank))
-    clear, kept = kept_clear(request, source.labels, progress)
-    kept_files = {each: f"keep_clear_{each}.ply" for each in clear}
-    files |= {
-        kept_files[each]: partial(write_surface, structure) for each, structure in clear.items()
-    }
-    progress("finding the site", 0.0)
-    at, sentence = placed(request, surface)
-    sentences += [sentence, *kept]
-    path = import_path(request, at, surface)
-    if path is not None:
-        sentences.append(path.sentence)
-        files["path.csv"] = path.table.write
-    files |= _pictures(source, bone, surface, clear, (at, path), (threshold, density))
-    scene = _scene_text(
-        {"name": name, "description": f"{request.region or 'bone'} of {source.inspection.source}"},
-        tables | {"scale_mm": 1.0},
-        at,
-        _followed(request.like, at, replay=path is not None),
-        {"keep_clear": {"files": kept_files}} if clear else {},
-    )
-    record = _record(source, at) | {"threshold": threshold, "bone_mm3": bone.volume_mm3}
-    return Draft(scene, record, files, sentences, has_site=at is not None)
-
-
-def _source(request: ImportRequest, progress: Progress) -> tuple[_Source, list[str]]:
-    """Read and inspect the image and the labels, and calibrate the density."""
-    progress("reading the image", 0.0)
-    image = request.read_image()
-    found = inspect(image)
-    labels = None
-    if request.labels is not None:
-        progress("reading the labels", 0.0)
-        labels = request.read_labels(image)
-    sentences = [*image.notes, *found.sentences(), *(labels.image.notes if labels else ())]
-    progress("calibrating the density", 0.0)
-    law = _law(request.density.strip(), image, found)
-    if law is None:
-        sentences.append(
-            "density: unknown, for the values are not Hounsfield units; the bone gets a "
-            "shell of even thickness. "
-            "Give --density line:SLOPE,OFFSET to use them"
-        )
-    # inspect the whole image, because a threshold needs air and soft tissue, which a crop may not
-    # contain
-    histogram = histogram_of(image.values)
-    box = request.box_mm
-    if box is not None:
-        with names_of_caller({"crop": "crop_mm"}):
-            image = cropped(image, box)
-        labels = labels and replace(labels, image=cropped(labels.image, box))
-    return _Source(image, labels, found, histogram, law), sentences
 
 
 def _law(text: str, image: Image, found: Inspection) -> DensityLaw | None:
@@ -226,35 +330,6 @@ def _law(text: str, image: Image, found: Inspection) -> DensityLaw | None:
         return replace(
             CT_DENSITY, source=f"{CT_DENSITY.source}; no calibration within the image: {error}"
         )
-
-
-def _bone(request: ImportRequest, source: _Source) -> tuple[BoneOfImage, float | None, list[str]]:
-    """Extract the bone from the image.
-
-    Return the bone, its threshold if it has one, and sentences.
-    """
-    if source.labels is None or request.region is None:
-        threshold, note = suggest_threshold(
-            source.histogram, is_hounsfield=source.inspection.is_hounsfield
-        )
-        # a threshold given by the user replaces the suggested threshold
-        if request.threshold is not None:
-            threshold = request.threshold
-            note = f"threshold {threshold:g}, as given"
-        return by_threshold(source.image, threshold), threshold, [note]
-    with names_of_caller({"label": "region"}):
-        mask = source.labels.mask(request.region)
-    sentences = []
-    if source.inspection.is_hounsfield and mask.any():
-        note = bone_label_note(source.image, mask, request.region)
-        sentences += [note] if note else []
-    bone = by_label(source.image, mask)
-    sentences.append(
-        f"bone: {request.region} of the labels, its steps smoothed; volume "
-        f"{bone.volume_mm3 / bone.label_mm3 - 1.0:+.1%} against {1e-3 * bone.label_mm3:.4g} ml of "
-        "the label"
-    )
-    return bone, None, sentences
 
 
 def _surface(bone: BoneOfImage, source: str) -> Surface:
@@ -351,88 +426,3 @@ def _scene_text(
             f"anatomy.centre_mm and normal.\n{text}"
         )
     return text
-
-
-def _record(source: _Source, at: Placed | None) -> dict[str, Any]:
-    """Return the results of the inspection as plain numbers."""
-    found = source.inspection
-    site = None
-    if at is not None:
-        site = {
-            "kind": at.kind,
-            "centre_mm": (1e3 * at.site.centre_m).tolist(),
-            "rotation": at.site.rotation.tolist(),
-        }
-    return {
-        "source": found.source,
-        "voxels": list(found.shape),
-        "spacing_mm": list(found.spacing_mm),
-        "low_mm": list(found.low_mm),
-        "high_mm": list(found.high_mm),
-        "noise_HU": found.noise,
-        "metal_mm3": found.metal_mm3,
-        "density_law": None if source.law is None else source.law.as_dict(),
-        "site": site,
-    }
-
-
-def _pictures(
-    source: _Source,
-    bone: BoneOfImage,
-    surface: Surface,
-    clear: Mapping[str, Surface],
-    work: tuple[Placed | None, ImportedPath | None],
-    found: tuple[float | None, Image | None],
-) -> dict[str, Writer]:
-    """Return functions that draw pictures of a bone with its site, path and surroundings.
-
-    `work` contains the site and the path, and `found` the threshold and the density of the bone.
-    """
-    at, path = work
-    threshold, density = found
-    title = source.inspection.source
-    low_mm = 1e3 * surface.vertices_m.min(axis=0)
-    high_mm = 1e3 * surface.vertices_m.max(axis=0)
-    normal = None if at is None else at.site.rotation[:, 2]
-    points_mm = None if path is None else path.depth.points_mm
-    centre_mm = None if at is None else 1e3 * at.site.centre_m
-    marks = Marks(centre_mm, normal, points_mm)
-    low = tuple((low_mm - SHOWN_MM).tolist())
-    high = tuple((high_mm + SHOWN_MM).tolist())
-    around = cropped(source.image, (low, high))
-
-    def draw_slices(file: Path) -> None:
-        """Draw slices of the CT with the outlines of the bone and of its surroundings."""
-        depth = replace(bone.image, values=bone.field - np.float32(bone.level))
-        outlines = {"bone": depth}
-        for name, structure in clear.items():
-            outlines[f"{name}, to keep clear of"] = depth_below(
-                structure.vertices_m, structure.faces, bone.image
-            )
-        middle_mm = 0.5 * (low_mm + high_mm)
-        # without a site, the slices go through the middle of the bone
-        around_site = marks if centre_mm is not None else replace(marks, centre_mm=middle_mm)
-        draw_ct_slices(around, file, outlines, around_site)
-
-    def draw_histogram(file: Path) -> None:
-        """Draw the histograms of the image and of the bone."""
-        draw_ct_histogram(
-            source.histogram,
-            bone.image.values[bone.field > bone.level],
-            file,
-            threshold=threshold,
-            law=source.law,
-            title=title,
-        )
-
-    pictures: dict[str, Writer] = {
-        "slices.png": draw_slices,
-        "histogram.png": draw_histogram,
-        "bone.png": lambda file: draw_ct_bone(surface, file, marks, density=density, title=title),
-    }
-    # the view of the path is along the site's normal
-    if path is not None and normal is not None:
-        pictures["path.png"] = lambda file: draw_path_depth(
-            surface, path.depth, file, normal=normal
-        )
-    return pictures

@@ -17,14 +17,20 @@ from meshes.base.progress import Progress
 from meshes.ct.extraction import cropped
 from meshes.ct.inspection import bone_label_note, inspect, soft_label_note
 from meshes.ct.labels import Labels, on_grid_of
-from meshes.images.frame import Image, part_of
+from meshes.images.frame import Image
 from meshes.organs.from_labels import organ_mesh
 from meshes.tets.tetrahedra import write_organ
 from meshes.tooth.layers import TOOTH_LAYERS
 from tissue.ct.draft import Draft, Writer, scene_tables, toml, write_labels
 from tissue.ct.request import ImportRequest
 from tissue.scene.load import load_scene
-from tissue.show.figures.ct_pictures import Marks, draw_ct_organ, draw_ct_slices, middle_of
+from tissue.show.figures.ct_pictures import (
+    Marks,
+    draw_ct_organ,
+    draw_ct_slices,
+    middle_of,
+    outline_of,
+)
 
 __all__ = ["organ_draft", "tooth_draft"]
 
@@ -82,7 +88,7 @@ def tooth_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
         },
         **scene_tables(load_scene(request.like or LIKE), PARTS),
     }
-    voxel_mm3 = float(np.prod(tooth.image.spacing_mm))
+    voxel_mm3 = tooth.image.voxel_mm3
     record = {
         "source": tooth.image.source,
         "volume_mm3": {
@@ -126,7 +132,7 @@ def _tooth(labels: Labels) -> Labels:
                 ),
             )
     chosen = labels.only(layers.values())
-    return replace(chosen, image=part_of(chosen.image, box_of(chosen.image.values > 0, MARGIN)))
+    return replace(chosen, image=chosen.image.part(box_of(chosen.image.values > 0, MARGIN)))
 
 
 def _site(tooth: Labels, *, at_lesion: bool) -> tuple[Array, str]:
@@ -154,7 +160,7 @@ def _site(tooth: Labels, *, at_lesion: bool) -> tuple[Array, str]:
     )
     return (
         middle,
-        f"site: over the largest lesion, {sizes[0] * np.prod(image.spacing_mm):.3g} mm3; {second}",
+        f"site: over the largest lesion, {sizes[0] * image.voxel_mm3:.3g} mm3; {second}",
     )
 
 
@@ -165,8 +171,7 @@ def _draw_tooth(image: Image, tooth: Labels, centre_mm: Array, file: Path) -> No
     masks = sorted(
         ((name, tooth.mask(name)) for name in tooth.names.values()), key=lambda each: -each[1].sum()
     )
-    # outlines are drawn at 0, halfway between inside and outside
-    outlines = {name: replace(tooth.image, values=mask - np.float32(0.5)) for name, mask in masks}
+    outlines = {name: outline_of(tooth.image, mask) for name, mask in masks}
     draw_ct_slices(
         cropped(image, (tuple(low.tolist()), tuple(high.tolist()))),
         file,

@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from meshes.base.arrays import Array
 from meshes.base.errors import (
     InputError,
     as_vector,
@@ -98,32 +99,45 @@ class ImportRequest:
     parts: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.labels is None:
-            options = ("label_names", "region", "keep_clear", "parts")
-            remedy = "give the file of the labels by --labels, or leave it out"
-            self._leave_out("without labels", *options, remedy=remedy)
-        if self.region is not None:
-            self._leave_out("with a region, whose label is the bone", "threshold")
+        of_bone = ("density", "threshold", "path", "keep_clear", "crop_mm")
+        self._require_points()
+        give_labels = "give the file of the labels by --labels, or leave it out"
+        give_point = "give a point as site, or leave normal out"
+        leave_out = "leave it out"
+        for is_case, case, names, remedy in (
+            (
+                self.labels is None,
+                "without labels",
+                ("label_names", "region", "keep_clear", "parts"),
+                give_labels,
+            ),
+            (
+                self.region is not None,
+                "with a region, whose label is the bone",
+                ("threshold",),
+                leave_out,
+            ),
+            (self.is_tooth, "for a tooth", ("region", "parts", *of_bone), leave_out),
+            (self.point_mm is None, "unless site is a point", ("normal",), give_point),
+            (self.path is None, "without a path", ("feed_mm_s",), "give --path FILE"),
+            (self.path is not None, "with a path, which is the motion", ("like",), leave_out),
+            (self.is_soft, "for a soft organ", ("like", *of_bone), leave_out),
+        ):
+            if is_case:
+                self._require_unset(case, names, remedy)
         if self.threshold is not None:
             require_range("threshold", self.threshold, -1e9, 1e9, "use about 226 for CT")
-        of_bone = ("density", "threshold", "path", "keep_clear", "crop_mm")
-        if self.is_tooth:
-            self._leave_out("for a tooth", "region", "parts", *of_bone)
-            if self.labels is None:
-                raise InputError(
-                    "labels", f"be given for site {self.site}", "nothing", "give --labels FILE"
-                )
-        elif self.labels is not None and self.region is None:
+        if self.is_tooth and self.labels is None:
+            raise InputError(
+                "labels", f"be given for site {self.site}", "nothing", "give --labels FILE"
+            )
+        if not self.is_tooth and self.labels is not None and self.region is None:
             raise InputError(
                 "region",
                 "be given with labels",
                 "nothing",
                 "name the label that is the bone, such as --region scapula_left",
             )
-        self._require_points()
-        if self.point_mm is None:
-            remedy = "give a point as site, or leave normal out"
-            self._leave_out("unless site is a point", "normal", remedy=remedy)
         if isinstance(self.site, str) and not self.is_markups and self.site not in NAMED_SITES:
             raise InputError(
                 "site",
@@ -131,41 +145,26 @@ class ImportRequest:
                 f"{self.site}{nearest(self.site, NAMED_SITES)}",
                 "choose one of these",
             )
+        if self.is_soft and isinstance(self.site, str):
+            raise InputError("site", "be a point for a soft organ", self.site, "give X,Y,Z in mm")
         if self.feed_mm_s is not None:
             require_positive("feed_mm_s", self.feed_mm_s, "use about 2")
-        if self.path is None:
-            self._leave_out("without a path", "feed_mm_s", remedy="give --path FILE")
-        else:
-            self._leave_out("with a path, which is the motion", "like")
-        if self.is_soft:
-            self._leave_out("for a soft organ", "like", *of_bone)
-            if isinstance(self.site, str):
-                raise InputError(
-                    "site", "be a point for a soft organ", self.site, "give X,Y,Z in mm"
-                )
 
-    def _leave_out(self, when: str, *names: str, remedy: str = "leave it out") -> None:
+    def _require_unset(self, case: str, names: Sequence[str], remedy: str) -> None:
         """Raise an error if an option is given in a case in which it has no effect."""
         unset = {each.name: each.default for each in fields(self)} | {"parts": {}}
         for name in names:
             value = getattr(self, name)
             if value != unset[name]:
                 shown = ", ".join(value) if name in ("keep_clear", "parts") else value
-                raise InputError(name, f"be left out {when}", shown, remedy)
+                raise InputError(name, f"be left out {case}", shown, remedy)
 
     def _require_points(self) -> None:
         """Check the points of the request and their coordinate system.
 
-        Raise an error if coordinates are not finite, if the coordinate system is unknown, or if the
-        two corners of the box have a wrong order.
-
-        The coordinate system RAS is also an error if no coordinates are given as numbers.
+        The coordinate system RAS is an error if no coordinates are given as numbers.
         """
-        points: dict[str, Sequence[object]] = {
-            "site": [self.site],
-            "normal": [self.normal],
-            "crop_mm": self.crop_mm or (),
-        }
+        points = {"site": [self.site], "normal": [self.normal], "crop_mm": self.crop_mm or ()}
         for name, given in points.items():
             for each in given:
                 if each is not None and not isinstance(each, str) and as_vector(each) is None:
@@ -174,8 +173,8 @@ class ImportRequest:
             raise InputError(
                 "coordinates", "be LPS or RAS", self.coordinates, "give the frame of the numbers"
             )
-        path_in_numbers = self.path is not None and self.path.suffix.lower() not in MARKUPS
         # markups files contain their own frame
+        path_in_numbers = self.path is not None and self.path.suffix.lower() not in MARKUPS
         in_numbers = path_in_numbers or self.crop_mm is not None or self.point_mm is not None
         if self.coordinates == "RAS" and not in_numbers:
             raise InputError(
@@ -184,16 +183,13 @@ class ImportRequest:
                 "RAS",
                 "leave coordinates out: files of markups state their own frame",
             )
-        if self.crop_mm is not None:
-            low, high = self.crop_mm
-            if any(a >= b for a, b in zip(low, high, strict=True)):
-                found = f"{in_brackets(low)} and {in_brackets(high)}"
-                raise InputError(
-                    "crop_mm",
-                    "have a first corner below the second corner along each axis",
-                    found,
-                    "exchange the two numbers of each wrong axis",
-                )
+        if self.crop_mm is not None and not np.less(*self.crop_mm).all():
+            raise InputError(
+                "crop_mm",
+                "have a first corner below the second corner along each axis",
+                " and ".join(map(in_brackets, self.crop_mm)),
+                "exchange the two numbers of each wrong axis",
+            )
 
     @property
     def is_tooth(self) -> bool:
@@ -217,12 +213,12 @@ class ImportRequest:
         return isinstance(self.site, str) and Path(self.site).suffix.lower() in MARKUPS
 
     @property
-    def point_mm(self) -> Point | None:
+    def point_mm(self) -> list[float] | None:
         """Site [mm, LPS] if it is given as a point; otherwise None."""
         return None if self.site is None or isinstance(self.site, str) else self._lps(self.site)
 
     @property
-    def normal_lps(self) -> Point | None:
+    def normal_lps(self) -> list[float] | None:
         """Outward direction in LPS; None if the request gives no direction."""
         return None if self.normal is None else self._lps(self.normal)
 
@@ -231,20 +227,20 @@ class ImportRequest:
         """Box of the image to keep [mm, LPS], lowest corner first; None for the whole image."""
         if self.crop_mm is None:
             return None
-        (a, b, c), (d, e, f) = map(self._lps, self.crop_mm)
         # RAS has the opposite signs of x and y, so the lower and upper ends are exchanged
-        return (min(a, d), min(b, e), c), (max(a, d), max(b, e), f)
+        low, high = np.sort([self._lps(each) for each in self.crop_mm], axis=0).tolist()
+        return tuple(low), tuple(high)
 
-    def shown(self, point_m: np.ndarray) -> str:
+    def shown(self, point_m: Array) -> str:
         """Return a point [m, LPS] as text in mm, in the coordinate system of the request."""
-        point = self._lps(_three(1e3 * point_m))  # LPS and RAS differ by the same two signs
+        point = self._lps(1e3 * point_m)  # LPS and RAS differ by the same two signs
         # adding zero removes the sign of a negative zero
         return f"{in_brackets((each + 0.0 for each in point), '.4g')} {self.coordinates}"
 
-    def _lps(self, point: Point) -> Point:
+    def _lps(self, point: Point | Array) -> list[float]:
         """Convert a point or direction to LPS."""
-        x, y, z = point
-        return (-x, -y, z) if self.coordinates == "RAS" else (x, y, z)
+        converted: list[float] = (TO_LPS[self.coordinates] * np.asarray(point)).tolist()
+        return converted
 
     def read_image(self) -> Image:
         """Read the image."""
@@ -340,8 +336,8 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
     with names_of_caller(KEYS):
         if isinstance(request.site, str) and request.is_markups:
             centre_mm, outward = read_site(Path(request.site))
-            point = _three(centre_mm)
-            normal = None if outward is None else _three(outward)
+            point = centre_mm.tolist()
+            normal = None if outward is None else outward.tolist()
         if point is not None:
             return _at_point(request, surface, point, normal)
     if isinstance(request.site, str):
@@ -358,7 +354,7 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
 
 
 def _at_point(
-    request: ImportRequest, surface: Surface, point: Point, normal: Point | None
+    request: ImportRequest, surface: Surface, point: list[float], normal: list[float] | None
 ) -> tuple[Placed, str]:
     """Place a site at a point [mm, LPS], and report the distance to the surface.
 
@@ -387,21 +383,13 @@ def _at_point(
     return Placed(site), sentence
 
 
-def _three(numbers: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
-    x, y, z = map(float, numbers)
-    return x, y, z
-
-
 def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
     """Search for a site, and report its score and the score of the second-best site."""
     with names_of_caller(KEYS):
         found = find_site(kind, surface)
-    second = found.second_centre_mm is not None
-    other = (
-        f"the next best place scores {found.second_score:.2f}"
-        if second
-        else "no other place came near"
-    )
+    other = "no other place came near"
+    if found.second_centre_mm is not None:
+        other = f"the next best place scores {found.second_score:.2f}"
     site = Placed(found.site, kind, JOINTS_MM.get(kind, 0.0))
     return site, f"site: {kind} {found.site.confidence}; {other}"
 

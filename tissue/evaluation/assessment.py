@@ -1,13 +1,13 @@
 """Assessment of a trainee's run against a reference run of the same scene."""
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags
 from meshes.base.errors import InputError, require_positive
 from tissue.evaluation.same_task import (
     AssessedRun,
@@ -18,6 +18,7 @@ from tissue.evaluation.same_task import (
 from tissue.evaluation.statistics.metrics import (
     aligned_rows,
     deviation_mm,
+    followed_ticks,
     force_error,
     overshoot_mm,
 )
@@ -103,7 +104,8 @@ class Quantity:
         Limit of the values.
     reference
         Values in the reference run at the place aligned with each tick of the trainee, shape
-        (ticks,). None if the quantity has no value in the reference run.
+        (ticks,). NaN for ticks without an aligned place. None if the quantity has no value in the
+        reference run.
     limited
         True for ticks in which the limit applies, shape (ticks,). None if it applies in all ticks.
     """
@@ -113,7 +115,7 @@ class Quantity:
     values: Array
     limit: float
     reference: Array | None = None
-    limited: NDArray[np.bool_] | None = None
+    limited: Flags | None = None
 
     def breaches(self, time_s: Array) -> list[Breach]:
         """Return the time spans in which the values are above the limit.
@@ -149,7 +151,8 @@ class Assessment:
     breaches
         Spans of time in which a limit was exceeded, in the order of time.
     events
-        Events that occur only in the trainee's run, each as a time [s] and a sentence.
+        Events that occur only in the trainee's run, each as a time [s] and a sentence. Sentences
+        that differ only in numbers are the same event.
     time_s
         Times of the trainee's ticks [s], shape (ticks,).
     deviation, force, depth
@@ -233,6 +236,7 @@ def assess(
     model = theirs.vectors("tool", "mm")
     rows = aligned_rows(path, model)
     deviation = deviation_mm(path, model, rows)
+    followed = followed_ticks(model, rows)
     axis, start = _approach(theirs)
     depth = (start - path) @ axis
     ideal_depth = (start - model) @ axis
@@ -253,12 +257,19 @@ def assess(
         raise NoSharedContactError("touches nothing")
     if not ideal_force[rows].any():
         raise NoSharedContactError("touches only where the reference run does not")
+    there = np.where(followed, ideal_force[rows], np.nan)
     # In free air, the distance from the path harms no tissue.
     touches = (force > 0.0) | (ideal_force[rows] > 0.0)
     quantities = (
         Quantity("distance from the path", "mm", deviation, deviation_limit_mm, limited=touches),
-        Quantity("force", "N", force, limit, ideal_force[rows]),
-        Quantity("depth", "mm", depth, deepest + overshoot_limit_mm, ideal_depth[rows]),
+        Quantity("force", "N", force, limit, there),
+        Quantity(
+            "depth",
+            "mm",
+            depth,
+            deepest + overshoot_limit_mm,
+            np.where(followed, ideal_depth[rows], np.nan),
+        ),
     )
     time = mine["time_s"]
     breaches = [each for one in quantities for each in one.breaches(time)]
@@ -274,7 +285,7 @@ def assess(
             "worst_at_s": float(time[worst]),
         },
         "peak_force_N": {"trainee": float(force.max()), "reference": peak},
-        "force_error": force_error(forces, ideal_forces[rows]),
+        "force_error": force_error(forces[followed], ideal_forces[rows][followed]),
         "overshoot_mm": overshoot_mm(depth, target_mm=deepest),
         "least_distance_mm": {
             name: {
@@ -287,7 +298,7 @@ def assess(
         "keep_clear": kept,
         "complete": {"trainee": trainee.complete, "reference": reference.complete},
     }
-    known = {each["what"] for each in reference.summary.get("events", ())}
+    known = {_without_numbers(each["what"]) for each in reference.summary.get("events", ())}
     scale = Materials.cited if reference.scene is None else reference.scene.constants
     hand, unscored = _steadiness(trainee, mine, scale)
     return Assessment(
@@ -297,13 +308,18 @@ def assess(
         tuple(
             (each["time_s"], each["what"])
             for each in trainee.summary.get("events", ())
-            if each["what"] not in known
+            if _without_numbers(each["what"]) not in known
         ),
         time,
         *quantities,
         tuple(_notes(trainee, reference)),
         unscored,
     )
+
+
+def _without_numbers(event: str) -> str:
+    """Return the sentence of an event without its numbers, which differ between runs."""
+    return re.sub(r"\d+(\.\d+)?", "", event)
 
 
 def _notes(trainee: AssessedRun, reference: AssessedRun) -> Iterator[str]:

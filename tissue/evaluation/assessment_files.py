@@ -52,9 +52,9 @@ def assessment_lines(found: Assessment) -> list[str]:
             for name, each in figures["least_distance_mm"].items()
         ),
         *_structure_lines(found),
-        *(f"breach: {each.sentence}" for each in found.breaches[:MOST_BREACHES]),
+        *(f"limit exceeded: {each.sentence}" for each in found.breaches[:MOST_BREACHES]),
+        *([f"limits were exceeded {more} more times"] if more > 0 else []),
         *(f"at {at:.3f} s, and not in the reference: {what}" for at, what in found.events),
-        *([f"and {_breaches(more)} more"] if more > 0 else []),
         *([] if found.breaches or found.breached else ["no limit was exceeded"]),
         *(f"the {who} was cut short" for who, whole in figures["complete"].items() if not whole),
         *(f"note: {note}" for note in found.notes),
@@ -71,9 +71,11 @@ def _structure_lines(found: Assessment) -> list[str]:
     ]
 
 
-def _breaches(count: int) -> str:
-    """Return the text for a number of breaches, such as "2 breaches"."""
-    return "1 breach" if count == 1 else f"{count} breaches"
+def _mistakes(found: Assessment) -> str:
+    """Return the text for exceeded limits and breaches, such as "2 times over a limit"."""
+    times = len(found.breaches)
+    limits = "1 time over a limit" if times == 1 else f"{times} times over a limit"
+    return f"{limits}, {' and '.join(found.breached)} breached" if found.breached else limits
 
 
 def _score_line(hand: Steadiness) -> str:
@@ -132,12 +134,16 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
 
 
 def draw_assessment(found: Assessment, path: Path) -> None:
-    """Draw the quantities of trainee and reference over time, the limits, and shaded breaches."""
+    """Draw the quantities of trainee and reference over time, and the limits.
+
+    Spans of time above a limit are shaded. A line marks the first breach of each structure.
+    """
     # inches for three panels below each other; the margins are shares of the figure, with space
     # for title and legend on top
     chart = figure(9.0, 7.2)
     panels = chart.subplots(3, 1, sharex=True)
     chart.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.08, hspace=0.14)
+    figures = found.figures
     time = found.time_s
     least = 0.002 * (time[-1] - time[0])  # a breach of a tick or two must still be seen
     labels = ("distance from\nthe path / mm", "force / N", "depth / mm")
@@ -160,14 +166,17 @@ def draw_assessment(found: Assessment, path: Path) -> None:
         if each.limited is not None:
             limits[~each.limited] = np.nan
         axes.plot(time, limits, color=LIMIT, linestyle="--", label="limit")
+        for name in found.breached:
+            start_s = figures["keep_clear"][name]["first_breach_s"]
+            axes.axvline(start_s, color=LIMIT, linewidth=0.8, label=f"breach of {name}")
         axes.set_ylabel(label)
         axes.grid(alpha=0.3)
         drawn = each.values
         if each.reference is not None:
             drawn = np.concatenate([drawn, each.reference])
-        high = max(each.limit, drawn.max())
+        high = max(each.limit, float(np.nanmax(drawn)))
         # the approach would leave no space for the depth
-        low = max(min(0.0, drawn.min()), -high)
+        low = max(min(0.0, float(np.nanmin(drawn))), -high)
         # 8 % of free space keep the limit's line off the frame
         axes.set_ylim(low, high + 0.08 * (high - low))
     panels[2].set(xlabel="time / s", xlim=(time[0], time[-1]))
@@ -175,15 +184,9 @@ def draw_assessment(found: Assessment, path: Path) -> None:
         *panels[1].get_legend_handles_labels(),
         loc="upper right",
         bbox_to_anchor=(0.985, 0.945),
-        ncols=3,
+        ncols=4,
         frameon=False,
     )
-    figures = found.figures
-    title = (
-        f"{figures['scene']}: a trainee against the reference, "
-        f"{_breaches(len(found.breaches) + len(found.breached))}; "
-        f"{figures['deviation_mm']['mean']:.2f} mm off the path on average, force "
-        f"{100.0 * figures['force_error']:.0f} % off"
-    )
+    title = f"{figures['scene']}: a trainee against the reference, {_mistakes(found)}"
     chart.text(0.09, 0.955, title, size=10)
     save(chart, path)

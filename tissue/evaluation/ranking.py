@@ -154,7 +154,12 @@ def is_run(folder: Path) -> bool:
     return (folder / "summary.json").is_file()
 
 
-def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRun]) -> Ranking:
+def rank(
+    folder: Path,
+    reference: AssessedRun,
+    load: Callable[[Path], AssessedRun],
+    **limits: float | None,
+) -> Ranking:
     """Assess the runs of trainees against a reference run, and order the trainees.
 
     See `Ranking` for the order.
@@ -169,6 +174,8 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
         Run with which all other runs are compared.
     load
         Function that reads the run of a folder.
+    **limits
+        Limits for the runs of all trainees, see `tissue.evaluation.assessment.assess`.
 
     Raises
     ------
@@ -194,7 +201,7 @@ def rank(folder: Path, reference: AssessedRun, load: Callable[[Path], AssessedRu
         for path in runs:
             run = load(path)
             try:
-                found = assess(run, reference)
+                found = assess(run, reference, **limits)  # type: ignore[arg-type]
             except NoSharedContactError as problem:
                 left_out.append(f"{path} {problem.reason}")
                 continue

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from time import perf_counter
 
 import numpy as np
 
@@ -70,8 +69,6 @@ class Recording:
         Contact data that the loop passes to predictors, one entry for each tick.
     group, seed
         Expertise group of the hand, and seed of the run.
-    model_s
-        Median computing time of the tissue model in a tick [s].
     true_position_m
         Exact position of the device [m], without encoder steps, shape (n, 3). None if it is
         unknown.
@@ -86,7 +83,6 @@ class Recording:
     contact: Sequence[Contact]
     group: str
     seed: int
-    model_s: float = 0.0
     true_position_m: Array | None = None
     ideal_N: Array | None = None
 
@@ -197,7 +193,7 @@ class Recorder:
             assert isinstance(device, SimulatedDevice)
             device.parameters = replace(device.parameters, encoder_step_m=encoder_step_m)
         begin = motion.sweep_m()[0]
-        rows, contact, took = _run(
+        rows, contact = _run(
             motion, parts.tissue, round((scene.duration_s or motion.duration_s) / TICK_S)
         )
         if not np.isfinite(rows).all():
@@ -217,7 +213,6 @@ class Recorder:
             contact,
             scene.held.hand,
             scene.seed,
-            np.median(took),
             rows[:, 6:],
         )
 
@@ -271,18 +266,16 @@ class Recorder:
         return parts
 
 
-def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, list[Contact], Array]:
-    """Run some ticks; return their data, their contacts, and the times of the tissue model [s].
+def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, list[Contact]]:
+    """Run some ticks; return their data and their contacts.
 
-    The data have shape (n, 9): measured position [m], force [N] and true position [m]. The times
-    have shape (n,).
+    The data have shape (n, 9): measured position [m], force [N] and true position [m].
     """
     stepper = Stepper(motion, tissue)
     stepper.place()
     # columns: measured position, force, true position
     rows: Array = np.zeros((ticks, 9))
     contact = []
-    took = np.zeros(ticks)
     raw = slice(
         motion.measure_names.index("raw_force_x_N"), motion.measure_names.index("raw_force_z_N") + 1
     )
@@ -292,11 +285,10 @@ def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, li
     for index, row in enumerate(rows):
         stepper.wait(index)
         stepper.step(index)
-        took[index] = perf_counter() - stepper.moved_s
         motion.play(stepper.response)
         contact.append(deepcopy(motion.contact(stepper.response)))
         row[:3] = 1e-3 * motion.measures[:3]
         row[3:6] = motion.measures[raw]
         if knows:
             row[6:] = 1e-3 * motion.measures[true : true + 3]
-    return rows, contact, took
+    return rows, contact

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from meshes.base.errors import InputError
 from meshes.base.text_tables import shown
+from tissue.scene.load import names_file
 from tissue.scene.messages import entries
-from tissue.scene.part import is_file_key
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import used_constants
 from tissue.simulation.run_folder import Summary
@@ -20,6 +20,7 @@ __all__ = [
     "OtherTaskError",
     "coupling_notes",
     "require_same_task",
+    "scene_differences",
     "scene_notes",
 ]
 
@@ -154,19 +155,26 @@ def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]
             yield f"the scenes differ in {key}: trainee {shown(mine)}, reference {shown(theirs)}"
 
 
+def scene_differences(*scenes: Scene) -> dict[str, tuple[object, ...]]:
+    """Return the dotted keys whose values differ between scenes, with the value in each scene.
+
+    Keys with default values are included. The value of a missing key is None.
+    """
+    tables = [dict(entries(tomllib.loads(scene.to_toml()))) for scene in scenes]
+    keys = dict.fromkeys(key for table in tables for key in table)
+    found = {key: tuple(table.get(key) for table in tables) for key in keys}
+    return {key: values for key, values in found.items() if values != values[:1] * len(values)}
+
+
 def _differences(one: Scene, other: Scene) -> Iterator[tuple[str, object, object]]:
     """Yield each key whose value differs between two scenes, with both values.
 
-    Keys with default values are included. If only one scene has a key, the value for the other
-    scene is "nothing".
+    Files of the same content count as equal. A missing value is "nothing".
     """
-    first = dict(entries(tomllib.loads(one.to_toml())))
-    second = dict(entries(tomllib.loads(other.to_toml())))
-    for key in dict.fromkeys((*first, *second)):
-        if first.get(key) != second.get(key) and not _same_file(
-            key, first.get(key), second.get(key)
-        ):
-            yield key, first.get(key, "nothing"), second.get(key, "nothing")
+    for key, values in scene_differences(one, other).items():
+        if not _same_file(key, *values):
+            first, second = ("nothing" if value is None else value for value in values)
+            yield key, first, second
 
 
 def _same_file(key: str, one: object, other: object) -> bool:
@@ -175,8 +183,7 @@ def _same_file(key: str, one: object, other: object) -> bool:
     If one of the files is not on this machine, only the names are compared. A trainee's run may
     come from another machine, on which the path of the anatomy file differs.
     """
-    names_file = is_file_key(key.rpartition(".")[2]) or key.startswith("keep_clear.files.")
-    if not names_file or not isinstance(one, str) or not isinstance(other, str):
+    if not names_file(key) or not isinstance(one, str) or not isinstance(other, str):
         return False
     first = Path(one)
     second = Path(other)

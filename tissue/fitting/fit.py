@@ -260,7 +260,7 @@ class TableFit(SceneFit):
         simulated = self.posterior.simulated * self.table.units
         found = {"feed_mm_per_turn": 1e3 * self.table.feeds_per_turn_m}
         for at, channel in enumerate(self.table.channels):
-            load = self.table.names[at].partition("_")[0] + "_" + channel.rpartition("_")[2]
+            load = "torque_Nm" if channel.endswith("Nm") else "thrust_N"
             found[f"measured_{load}"] = self.table.loads[:, at]
             found[f"simulated_{load}"] = simulated[:, at]
         return found

@@ -11,8 +11,8 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.fitting.posterior import Posterior
-from tissue.fitting.problem import Forward
-from tissue.fitting.target import BIAS_SHARE, OFFSET_S, innovations, place_information
+from tissue.fitting.problem import Forward, MeasuredLoads
+from tissue.fitting.target import Target, Unpacked
 from tissue.materials.constants import Z_95
 
 __all__ = [
@@ -132,15 +132,9 @@ def identified(posterior: Posterior) -> Identified:
     gradient of a weighted mean of the loads with respect to z. The result describes this mean,
     because its gradient may turn along a curve on which the mean is constant.
     """
-    p = len(posterior.names)
     target = posterior.target
     contraction = posterior.spreads
-    _, moved = target.linearised(posterior.maximum)
-    columns = target.whitened(moved, posterior.nuisances)
-    of_z = columns[:, :p]
-    nuisances = columns[:, p:]
-    free = nuisances.T @ nuisances + np.eye(nuisances.shape[1])
-    measured = of_z - nuisances @ np.linalg.solve(free, nuisances.T @ of_z)
+    of_z, measured = _separated(target, posterior.maximum, posterior.nuisances)
     values, vectors = np.linalg.eigh(of_z.T @ measured)
     eigenvalues = np.maximum(values, 0.0)[::-1]
     directions = [
@@ -158,6 +152,19 @@ def identified(posterior: Posterior) -> Identified:
         if each.contraction < BETTER * min(alone[name] for name in each.weights)
     ]
     return Identified(posterior.names, contraction, eigenvalues, tuple(better))
+
+
+def _separated(target: Target, u: Array, noise: Unpacked) -> tuple[Array, Array]:
+    """Return the whitened derivatives of the loads by z, and their part that only z explains.
+
+    This part is orthogonal to the derivatives by the offset and the biases, up to their priors.
+    Both results have the shape (m * channels, p).
+    """
+    columns = target.whitened(target.linearised(u)[1], noise)
+    of_z = columns[:, : target.constants]
+    others = columns[:, target.constants :]
+    free = others.T @ others + np.eye(others.shape[1])
+    return of_z, of_z - others @ np.linalg.solve(free, others.T @ of_z)
 
 
 def _combination(
@@ -267,24 +274,14 @@ def _information(posterior: Posterior, forward: Forward) -> Array:
     The biases and the clock offset of the log are free. The noise of a log depends on its rate, so
     the candidate is evaluated at the rate of the measured log.
     """
-    target = posterior.target
-    noise = posterior.nuisances
-    rate_s = float(np.median(np.diff(target.log.times_s)))
+    measured = posterior.target.log
+    rate_s = float(np.median(np.diff(measured.times_s)))
     every = max(round(rate_s / float(np.median(np.diff(forward.times_s)))), 1)
-    places = [forward.channels.index(name) for name in target.log.channels]
-    slopes = target.slopes(posterior.mean_z)
-    x = target.x(posterior.mean_z)
-    moved = forward.jacobian(x)[::every][:, places] * slopes
-    by_offset = (
-        -OFFSET_S
-        * np.gradient(forward.loads(x)[:, places], forward.times_s, axis=0)[::every, :, None]
-    )
-    biases = np.broadcast_to(
-        np.diag(BIAS_SHARE * target.log.sizes()), (len(moved), len(places), len(places))
-    )
-    columns = innovations(np.concatenate([moved, biases, by_offset], axis=2), noise.correlation)
-    columns *= (np.sqrt(place_information(noise.freedom)) / noise.scale)[:, None]
-    rows = columns.reshape(-1, columns.shape[2])
-    p = len(slopes)
-    whole = rows.T @ rows + np.diag([0.0] * p + [1.0] * (len(places) + 1))
-    return whole[:p, :p] - whole[:p, p:] @ np.linalg.solve(whole[p:, p:], whole[p:, :p])
+    times_s = forward.times_s[::every]
+    loads = np.zeros((len(times_s), len(measured.channels)))
+    log = MeasuredLoads(times_s, loads, measured.channels)
+    target = Target(forward, log, sizes=measured.sizes())
+    u = posterior.maximum.copy()
+    u[target.constants] = 0.0
+    of_z, separated = _separated(target, u, posterior.nuisances)
+    return of_z.T @ separated

@@ -5,16 +5,13 @@ thrust and torque are each linear in a chip and an edge coefficient. If the tabl
 of the rows, the sum of squares follows the chi-square law. Its degrees of freedom are the number of
 loads minus the number of constants. Constants at their lower limit of 0 are not counted.
 
-A steady load of one drill has the same form with and without a chisel edge: a chip term plus an
-edge term. Free coefficients absorb the factor between the two drills, so the maximum likelihood
-does not distinguish the drills. A second misfit uses the cited ranges as priors. This misfit is the
+A second misfit uses the cited ranges as priors. This misfit is the
 smallest value of a sum: the squared errors of the loads plus the squared standard normal numbers of
 the constants. In a linear problem, it has as many degrees of freedom as there are loads.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,10 +46,6 @@ EXPONENTS = np.linspace(0.0, 0.9, 19)
 """Exponents of the size effect from which the search begins."""
 PRECISION = 1e-4
 """Precision of the exponent."""
-ALIKE = (
-    "free coefficients absorb the difference between a chisel edge and a simple drill, which fit "
-    "the table equally well"
-)
 NO_EFFECT = 1e-6
 """Singular value, relative to the largest, below which a combination has no effect on the loads."""
 LEAST_RESIDUAL = 1e-9
@@ -68,8 +61,6 @@ class LawMisfit:
     has_size_effect
         True for the law with a free exponent m and a minimum chip thickness. False for the law that
         is linear in the chip thickness and has its edge force at any thickness.
-    has_chisel
-        True for a drill with a chisel edge, False for lips that reach the axis.
     constants
         Number of constants of the maximum-likelihood fit, without the scatter.
     size_exponent
@@ -90,7 +81,6 @@ class LawMisfit:
     """
 
     has_size_effect: bool
-    has_chisel: bool
     constants: int
     size_exponent: float
     chi_square: float | None
@@ -102,43 +92,34 @@ class LawMisfit:
     cited_p: float | None
 
     @property
-    def law(self) -> str:
-        """The law in words, without the drill."""
-        return "law with a size effect" if self.has_size_effect else "linear law"
-
-    @property
     def name(self) -> str:
-        """The law and the drill in words."""
-        return f"{self.law}, {'chisel edge' if self.has_chisel else 'simple drill'}"
+        """The law in words."""
+        return "law with a size effect" if self.has_size_effect else "linear law"
 
 
 def compared_laws(scene: Scene, table: SteadyTable) -> tuple[LawMisfit, ...]:
-    """Return the misfits of the linear and the size-effect law, with and without a chisel edge.
+    """Return the misfits of the linear law and of the law with a size effect.
 
     Parameters
     ----------
     scene
-        A block of bone and a drill, see `tissue.fitting.table.table_forward`. The drill with a
-        chisel edge has the web ``tool.web_mm`` of the scene, or the default web if this key is 0.
+        A block of bone and a drill, see `tissue.fitting.table.table_forward`.
     table
         Measured loads.
     """
     found = []
-    fits: dict[bool, MaximumLikelihood] = {}
-    for has_size_effect, has_chisel in product((False, True), (False, True)):
-        changed = _with_law(scene, has_size_effect=has_size_effect, has_chisel=has_chisel)
-        forward = table_forward(changed, table)
-        # Both drills have the same maximum likelihood.
-        if has_size_effect not in fits:
-            fits[has_size_effect] = MaximumLikelihood(
-                forward, table, has_size_effect=has_size_effect
-            )
-        fit = fits[has_size_effect]
+    for has_size_effect in (False, True):
+        minimum = scene.cutting.minimum_chip_um or None
+        changes = {"size_exponent": None, "minimum_chip_um": minimum}
+        if not has_size_effect:
+            changes = {"size_exponent": 0.0, "minimum_chip_um": 0.0}
+        cutting = scene.cutting.model_copy(update=changes)
+        forward = table_forward(scene.model_copy(update={"cutting": cutting}), table)
+        fit = MaximumLikelihood(forward, table, has_size_effect=has_size_effect)
         cited = _cited_chi_square(forward, table)
         found.append(
             LawMisfit(
                 has_size_effect,
-                has_chisel,
                 fit.constants,
                 fit.exponent,
                 fit.chi_square,
@@ -158,21 +139,6 @@ def _probability(chi_square: float | None, freedom: int) -> float | None:
     if chi_square is None or freedom < 1:
         return None
     return float(chi2.sf(chi_square, freedom))
-
-
-def _with_law(scene: Scene, *, has_size_effect: bool, has_chisel: bool) -> Scene:
-    """Return a scene with the chosen law, and with a drill with or without a chisel edge."""
-    web_mm = (getattr(scene.tool, "web_mm", None) or None) if has_chisel else 0.0
-    minimum = scene.cutting.minimum_chip_um or None
-    changes = {"size_exponent": None, "minimum_chip_um": minimum}
-    if not has_size_effect:
-        changes = {"size_exponent": 0.0, "minimum_chip_um": 0.0}
-    return scene.model_copy(
-        update={
-            "tool": scene.tool.model_copy(update={"web_mm": web_mm}),
-            "cutting": scene.cutting.model_copy(update=changes),
-        }
-    )
 
 
 def _cited_chi_square(forward: CuttingForward, table: SteadyTable) -> float | None:
@@ -321,37 +287,28 @@ def _rank(columns: Array) -> int:
     return int(np.linalg.matrix_rank(columns / np.abs(columns).max(), rtol=NO_EFFECT))
 
 
-def _ranking(laws: Sequence[LawMisfit]) -> str:
-    """Return the order of the laws by AIC, in words."""
-    known = [(each.aic, each.law) for each in laws if each.aic is not None]
-    if len(known) < len(laws):
-        return "the rows are too few to rank the laws"
-    (smallest, best), *others = sorted(known)
-    gaps = ", ".join(f"{law} (AIC {aic - smallest:+.1f})" for aic, law in others)
-    return f"by AIC the {best} comes before the {gaps}"
-
-
 def law_sentences(laws: Sequence[LawMisfit]) -> list[str]:
     """Return sentences on the laws that a table rejects."""
-    if not laws:
-        return []
-    by_law = list({each.law: each for each in laws}.values())
-    ranking = _ranking(by_law)
+    ranking = "the rows are too few to rank the laws"
+    scores = [(each.aic, each.name) for each in laws if each.aic is not None]
+    if len(scores) == len(laws):
+        (smallest, best), (other, second) = sorted(scores)
+        ranking = f"by AIC the {best} comes before the {second} (AIC {other - smallest:+.1f})"
     if laws[0].cited_p is None:
-        return [f"the table states no scatter, so it rejects no law; {ranking}", ALIKE]
+        return [f"the table states no scatter, so it rejects no law; {ranking}"]
     found = []
-    for each in by_law:
+    for each in laws:
         if each.p is None:
-            found.append(f"{each.law}: not tested, it has as many constants as the table has loads")
+            found.append(
+                f"{each.name}: not tested, it has as many constants as the table has loads"
+            )
             continue
         verdict = "rejected with any coefficients" if each.p < REJECTED else "not rejected"
         found.append(
-            f"{each.law}: {verdict}, chi-square {each.chi_square:.3g} with {each.freedom} degrees "
+            f"{each.name}: {verdict}, chi-square {each.chi_square:.3g} with {each.freedom} degrees "
             f"of freedom, p = {each.p:.2g}"
         )
     wrong = [each.name for each in laws if each.cited_p is not None and each.cited_p < REJECTED]
-    if wrong:
-        found.append(f"rejected with coefficients in their cited ranges: {'; '.join(wrong)}")
-    else:
-        found.append("no law is rejected with coefficients in their cited ranges")
-    return [*found, ranking, ALIKE]
+    refused = "no law is" if not wrong else f"the {' and the '.join(wrong)} is"
+    found.append(f"{refused} rejected with coefficients in their cited ranges")
+    return [*found, ranking]

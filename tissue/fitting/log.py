@@ -10,12 +10,15 @@ from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, counted
+from meshes.base.text_tables import number_or_nan
 from tissue.fitting.log_columns import (
     FORCES,
+    QUANTITIES,
     ROTATION_VECTOR,
     from_first,
     parsed,
     quantities,
+    split_unit,
     suggested,
 )
 from tissue.fitting.log_files import (
@@ -23,14 +26,13 @@ from tissue.fitting.log_files import (
     QUATERNION,
     TIPS,
     LogColumns,
-    read_columns,
     refusal,
 )
 from tissue.fitting.problem import SD_PER_MAD, MeasuredLoads, block_averages, block_ticks
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.parts import motion_of
 
-__all__ = ["MeasuredLog", "log_of", "read_log"]
+__all__ = ["MeasuredLog", "log_of"]
 
 
 LARGEST = {"N": 1e5, "Nm": 1e4}
@@ -111,15 +113,18 @@ class MeasuredLog:
         return np.tile(Rotation.from_matrix(first).as_quat(), (len(self.times_s), 1))
 
 
-def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
-    """Read a log of a tool's poses and loads.
+def log_of(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> MeasuredLog:
+    """Return the log of a tool's poses and loads that the columns of a file hold.
+
+    For a run's own trace, `columns` is not needed. If a trace holds ``model_force`` (the force of
+    the tissue) and the force commanded to a device, ``model_force`` is used.
 
     Parameters
     ----------
     path
-        CSV, Parquet, HDF5, .mat or .npz file. For a run's own trace, `columns` is not needed. If a
-        trace holds ``model_force`` (the force of the tissue) and the force commanded to a device,
-        ``model_force`` is used.
+        The file, for messages.
+    found
+        Columns of the file.
     columns
         ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT`` for quantities with another
         name. A minus reverses the sign. If UNIT is not given, the unit is taken from the header of
@@ -132,20 +137,31 @@ def read_log(path: Path, columns: Sequence[str] = ()) -> MeasuredLog:
         If a column is missing or holds impossible values, times do not increase, or the log is too
         short.
     """
-    return log_of(path, read_columns(path), columns)
-
-
-def log_of(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> MeasuredLog:
-    """Return the log in the columns of a file, see `read_log`."""
-    asked = parsed(columns)
+    asked = parsed(columns, tuple(QUANTITIES))
     notes = list(found.notes)
+    rate_Hz = found.rate_Hz
+    number, unit = split_unit(asked.get("time_s", ""))
+    if unit == "Hz":
+        rate_Hz = number_or_nan(number)
+        del asked["time_s"]
     if "model_force_x_N" in found.names:
         for name in CHANNELS:
             # a column that the user has named is kept
             if f"model_{name}" in found.names:
                 asked.setdefault(name, f"model_{name}")
         notes.append("forces are those of the model (model_force), before low-pass and device")
-    values = quantities(found, asked, notes)
+    values, unused = quantities(found, asked, QUANTITIES, notes)
+    if "time_s" not in values and rate_Hz and TIPS[2] in values:
+        if not rate_Hz > 0.0:
+            raise InputError(
+                "column", "give a rate above 0", f"time_s={number}:Hz", "write time_s=500:Hz"
+            )
+        values["time_s"] = np.arange(len(values[TIPS[2]])) / rate_Hz
+        notes.append(f"the times follow from the rate of {rate_Hz:g} Hz")
+    # the trace of a run has many columns: the note names the first 12
+    if unused:
+        others = " and others" if len(unused) > 12 else ""
+        notes.append(f"not used: {', '.join(unused[:12])}{others}")
     from_first(values, notes)
     if not any(name in asked and ":" in asked[name] for name in TIPS):
         _require_motion(path, values, asked)

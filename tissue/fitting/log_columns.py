@@ -16,10 +16,11 @@ __all__ = [
     "QUANTITIES",
     "ROTATION_VECTOR",
     "TIMES",
+    "column_for",
     "from_first",
     "parsed",
     "quantities",
-    "quantity",
+    "split_unit",
     "suggested",
 ]
 
@@ -45,13 +46,22 @@ TIMES = ("t", "time", "timestamp", "time_stamp", "elapsed", "elapsed_time", "zei
 """Names of a column of times in lower-case letters, without unit."""
 EPOCH_S = 1e8
 """Time above which times are counted from 1970 [s], because no log lasts three years."""
+USUAL = {
+    "time_s": TIMES,
+    "depth_mm": ("indentation", "displacement", "penetration"),
+    "force_N": ("load", "fn"),
+}
+"""Usual names of a column in lower-case letters.
+
+Except for times, the names are used only if the header has a unit.
+"""
 OF_FORCE = ("f", "force", "load", "kraft", "wrench")
 """Words that precede the axis in the header of a force."""
 NOT_OF_PLACE = (*OF_FORCE, "torque", "moment", "velocity", "vel", "acc", "orientation", "q")
 """Words in the headers of vector components (with an axis) that are not positions."""
 
 
-def parsed(texts: Sequence[str], names: Sequence[str] = tuple(QUANTITIES)) -> dict[str, str]:
+def parsed(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
     """Return the column, with sign and unit, of each quantity that a flag ``NAME=COLUMN`` names."""
     asked: dict[str, str] = {}
     for text in texts:
@@ -67,80 +77,81 @@ def parsed(texts: Sequence[str], names: Sequence[str] = tuple(QUANTITIES)) -> di
     return asked
 
 
-def quantities(found: LogColumns, asked: Mapping[str, str], notes: list[str]) -> dict[str, Array]:
-    """Return the available quantities in SI by name, and add a note on the unused columns."""
-    values: dict[str, Array] = {}
-    constants: dict[str, float] = {}
-    used = set[str]()
-    for name, measure in QUANTITIES.items():
-        fixed = _constant(name, asked.get(name, ""), found)
-        if fixed is not None:
-            constants[name] = fixed
-            continue
-        column, numbers = quantity(name, measure, asked.get(name), found, notes)
-        if numbers is not None:
-            values[name] = numbers
-            used.add(column)
-    rate_Hz = constants.pop("time_s", found.rate_Hz)
-    if "time_s" not in values and rate_Hz and TIPS[2] in values:
-        values["time_s"] = np.arange(len(values[TIPS[2]])) / rate_Hz
-        notes.append(f"the times follow from the rate of {rate_Hz:g} Hz")
-    for name, constant in constants.items():
-        values[name] = np.full(len(values.get("time_s", ())), constant)
-    # the trace of a run has many columns: the note names the first 12
-    if left := [name for name in found.names if name not in used]:
-        notes.append(f"not used: {', '.join(left[:12])}{' and others' if len(left) > 12 else ''}")
-    return values
-
-
-def quantity(
-    name: str, measure: str, asked: str | None, found: LogColumns, notes: list[str]
-) -> tuple[str, Array | None]:
-    """Return the column of a quantity and its values in SI; None if the file has no such column.
+def quantities(
+    found: LogColumns, asked: Mapping[str, str], measures: Mapping[str, str], notes: list[str]
+) -> tuple[dict[str, Array], list[str]]:
+    """Return the available quantities in SI by name, and the columns that were not used.
 
     Parameters
     ----------
-    name, measure
-        Name of the quantity with its unit, and the key of `UNITS`.
-    asked
-        Column, with sign and unit, that the user has given; None to search by the name.
     found
         Columns of the file.
+    asked
+        Column, with sign and unit, or a constant, by the name of the quantity. Other quantities are
+        searched by their names.
+    measures
+        Name with unit, and kind as a key of `UNITS`, of each quantity.
     notes
-        List to which a sentence is added if the unit is not the unit of the name.
+        List to which a sentence is added if a unit is not the unit of the name.
     """
-    if asked is None:
-        asked = column_of(name, measure, found.names)
-    if asked is None:
-        # HDF5 files have columns in groups
-        grouped = [each for each in found.names if each.endswith(f"/{name}")]
-        asked = grouped[0] if len(grouped) == 1 else None
-    if asked is None and name == "time_s":
-        times = [each for each in found.names if name_of(each, "time") in TIMES]
-        asked = times[0] if len(times) == 1 else None
-    if asked is None:
-        return "", None
-    column, sign, unit = _column(name, asked, found.names)
-    values = sign * found.numbers(column)
-    if measure == "time" and not unit and not unit_of(column, "time"):
-        factor, remark = _clock(column, values)
-    else:
-        factor, remark = _factor(name, measure, column, unit)
-    if remark:
-        notes.append(remark)
-    return column, factor * values
+    values: dict[str, Array] = {}
+    constants: dict[str, float] = {}
+    unused = list(found.names)
+    for name, measure in measures.items():
+        text = asked.get(name) or column_for(name, measure, found.names)
+        if text is None:
+            continue
+        column, sign, unit = _column(name, text, found.names)
+        if not column:
+            constants[name] = sign * _factor(name, measure, "", unit)[0]
+            continue
+        numbers = found.numbers(column)
+        if measure == "time" and not unit and not unit_of(column, "time"):
+            factor, remark = _clock(column, numbers)
+        else:
+            factor, remark = _factor(name, measure, column, unit)
+        values[name] = sign * factor * numbers
+        if column in unused:
+            unused.remove(column)
+        if remark:
+            notes.append(remark)
+    rows = len(next(iter(values.values()), ()))
+    return values | {name: np.full(rows, value) for name, value in constants.items()}, unused
+
+
+def column_for(name: str, measure: str, names: Sequence[str]) -> str | None:
+    """Return the only column that holds a quantity according to its header, or None."""
+    found = column_of(name, measure, names)
+    if found is not None:
+        return found
+    # HDF5 files have columns in groups
+    likely = [each for each in names if each.endswith(f"/{name}")]
+    if not likely:
+        likely = [
+            each
+            for each in names
+            if name_of(each, measure) in USUAL.get(name, ())
+            and (name == "time_s" or unit_of(each, measure))
+        ]
+    return likely[0] if len(likely) == 1 else None
 
 
 def _column(name: str, asked: str, known: Sequence[str]) -> tuple[str, float, str]:
-    """Return the column that a text names, the sign of the column, and its unit (may be empty)."""
+    """Return the column that a text names, its sign, and its unit, which may be empty.
+
+    For a constant, the column is empty, and the sign is the value of the constant.
+    """
     for sign, text in ((1.0, asked), (-1.0, asked.removeprefix("-"))):
-        column, unit = (text, "") if text in known else _split(text)
+        column, unit = (text, "") if text in known else split_unit(text)
         if column in known:
             return column, sign, unit
+    text, unit = split_unit(asked)
+    if np.isfinite(value := number_or_nan(text)):
+        return "", value, unit
     raise InputError(
         "column",
         f"map {name} to a column of the log",
-        _split(asked)[0].removeprefix("-"),
+        text.removeprefix("-"),
         # a table of a simulator may have hundreds of columns
         f"choose one of {', '.join(sorted(known)[:60])}",
     )
@@ -155,7 +166,8 @@ def _factor(name: str, measure: str, column: str, unit: str) -> tuple[float, str
     # components of a quaternion have no unit
     if not factors and not unit:
         return 1.0, ""
-    default = name.rpartition("_")[2]
+    # the name of a feed ends in mm_s or per_turn
+    default = unit_of(name, measure) or "mm"
     header = unit_of(column, measure)
     taken = plain_unit(unit) or header or default
     if taken not in factors:
@@ -181,25 +193,7 @@ def _clock(column: str, times: Array) -> tuple[float, str]:
     return 1.0, "" if middle > EPOCH_S else f"{column} has no unit and is read in s"
 
 
-def _constant(name: str, asked: str, found: LogColumns) -> float | None:
-    """Return the constant in SI that a flag gives instead of a column; None if it names a column.
-
-    For times, the flag gives the rate of the samples, such as 500:Hz.
-    """
-    text, unit = _split(asked)
-    value = number_or_nan(text)
-    if text in found.names or not np.isfinite(value):
-        return None
-    if name != "time_s":
-        return value * _factor(name, QUANTITIES[name], "", unit)[0]
-    if unit != "Hz" or value <= 0.0:
-        raise InputError(
-            "column", "give time_s a column or a rate", asked, "write for example time_s=500:Hz"
-        )
-    return value
-
-
-def _split(text: str) -> tuple[str, str]:
+def split_unit(text: str) -> tuple[str, str]:
     """Split ``COLUMN:UNIT`` into column and unit."""
     column, found, unit = text.rpartition(":")
     return (column.strip(), unit.strip()) if found and column else (text, "")

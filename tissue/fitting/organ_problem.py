@@ -47,13 +47,13 @@ class OrganForward:
         Constants of the run, shape (p,).
     base
         Loads of the run, shape (n, channels).
-    slopes, curvatures
-        Coefficients of the distance of each constant from `at` and of the square of this distance,
-        shape (n, channels, p). They are zero for the first modulus. For a relaxation time, the
-        distance is measured in its logarithm.
-    mixed
-        Coefficients of the products of two distances, shape (n, channels, p, p). The matrix is
-        symmetric: each order of the two constants holds half of the coefficient.
+    slopes
+        Coefficients of the distance of each constant from `at`, shape (n, channels, p). They are
+        zero for the first modulus. For a relaxation time, the distance is measured in its
+        logarithm.
+    curved
+        Coefficients of the squares and products of these distances, shape (n, channels, p, p). The
+        matrix is symmetric: each order of two constants holds half of the coefficient.
     """
 
     parameters: tuple[Parameter, ...]
@@ -63,8 +63,7 @@ class OrganForward:
     at: Array
     base: Array
     slopes: Array
-    curvatures: Array
-    mixed: Array
+    curved: Array
 
     def reduced(self, x: Array) -> tuple[float, Array]:
         """Return ratio of loads at `x` to a run's loads, and the run's constants, shape (p,)."""
@@ -137,15 +136,10 @@ class OrganForward:
         return np.array([each.name.endswith("_s") for each in self.parameters])
 
     def _of_run(self, distance: Array) -> Array:
-        together = (self.mixed @ distance) @ distance
-        return np.asarray(
-            self.base + self.slopes @ distance + self.curvatures @ distance**2 + together
-        )
+        return np.asarray(self.base + (self.slopes + self.curved @ distance) @ distance)
 
     def _slopes_at(self, distance: Array) -> Array:
-        return np.asarray(
-            self.slopes + 2.0 * self.curvatures * distance + 2.0 * (self.mixed @ distance)
-        )
+        return np.asarray(self.slopes + 2.0 * self.curved @ distance)
 
 
 EVERY = 2
@@ -230,12 +224,8 @@ def organ_problem(
     poses = Poses(log.times_s, log.tips_m, log.quaternions_of(scene))
     parameters, moduli = organ_parameters(scene, free)
     measured, ticks = log.averaged()
-    with (
-        names_of_caller({"motion": "measured"}),
-        OrganRuns(
-            scene, poses, log.channels, every=EVERY, cores=cores or os.cpu_count() or 1
-        ) as runs,
-    ):
+    runs = OrganRuns(scene, poses, log.channels, every=EVERY, cores=cores or os.cpu_count() or 1)
+    with names_of_caller({"motion": "measured"}):
         found = settled(parameters, moduli, runs, measured, progress)
         finer, note = _on_finer_mesh(scene, found, runs)
     notes = (*_notes(found, runs.count), note)
@@ -308,11 +298,9 @@ def settled(
     away = np.inf
     (base,) = runs([_named(parameters, at)])
     times_s = runs.poses.times_s[0] + EVERY * TICK_S * np.arange(len(base), dtype=np.float64)
-    nothing = np.zeros((*base.shape, len(parameters)))
-    none = np.zeros((*nothing.shape, len(parameters)))
-    forward = OrganForward(
-        parameters, measured.channels, times_s, moduli, at, base, nothing, nothing, none
-    )
+    flat = np.zeros((*base.shape, len(parameters)))
+    curved = np.zeros((*flat.shape, len(parameters)))
+    forward = OrganForward(parameters, measured.channels, times_s, moduli, at, base, flat, curved)
     for number in range(ROUNDS):
         # three rounds fill three quarters of the progress; `fit_scene` continues at 0.8
         progress(f"round {number + 1} of runs of the organ", 0.25 * number)
@@ -357,6 +345,8 @@ def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> Org
     because the posterior may have a ridge along both.
     """
     places = [at for at in range(len(forward.at)) if at not in forward.moduli[:1]]
+    if not places:
+        return forward
     reach = np.full(len(forward.at), FIRST_STEP) if spread is None else np.clip(spread, *STEPS)
 
     def stepped(*moves: tuple[int, float]) -> Array:
@@ -367,34 +357,24 @@ def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> Org
         return x
 
     signs = (1.0,) if spread is None else (1.0, -1.0)
-    others = [stepped((at, sign)) for at in places for sign in signs]
     wide = [] if spread is None else [at for at in places if spread[at] > WIDE]
     pairs = list(combinations(wide, 2))
-    corners = [stepped((first, 1.0), (second, 1.0)) for first, second in pairs]
-    risen = [
-        each - forward.base
-        for each in runs([_named(forward.parameters, x) for x in [*others, *corners]])
-    ]
-    slopes, curvatures, mixed = (
-        np.zeros_like(each) for each in (forward.slopes, forward.curvatures, forward.mixed)
-    )
-    sides = len(signs)
-    for number, at in enumerate(places):
-        of = slice(sides * number, sides * (number + 1))
-        steps = np.array([forward.distance(x)[at] for x in others[of]])
-        powers = np.linalg.inv(steps[:, None] ** np.arange(1.0, sides + 1.0))
-        found = np.tensordot(powers, np.stack(risen[of]), 1)
-        slopes[..., at] = found[0]
-        # a step to one side shows no curvature
-        if sides == 2:
-            curvatures[..., at] = found[1]
-    for (first, second), x, both in zip(pairs, corners, risen[len(others) :], strict=True):
-        distance = forward.distance(x)
-        left = both - slopes @ distance - curvatures @ distance**2
-        mixed[..., first, second] = mixed[..., second, first] = (
-            0.5 * left / (distance[first] * distance[second])
-        )
-    return replace(forward, slopes=slopes, curvatures=curvatures, mixed=mixed)
+    points = [stepped((at, sign)) for at in places for sign in signs]
+    points += [stepped((first, 1.0), (second, 1.0)) for first, second in pairs]
+    found = np.array(runs([_named(forward.parameters, x) for x in points]))
+    # there are as many runs as coefficients; a step to one side shows no curvature
+    distances = np.array([forward.distance(x) for x in points])
+    products = pairs if spread is None else [*((at, at) for at in places), *pairs]
+    terms = [(at,) for at in places] + products
+    design = np.column_stack([distances[:, list(term)].prod(axis=1) for term in terms])
+    coefficients = np.tensordot(np.linalg.inv(design), found - forward.base, 1)
+    slopes = np.zeros_like(forward.slopes)
+    curved = np.zeros_like(forward.curved)
+    slopes[..., places] = np.moveaxis(coefficients[: len(places)], 0, -1)
+    for (first, second), each in zip(products, coefficients[len(places) :], strict=True):
+        curved[..., first, second] += 0.5 * each
+        curved[..., second, first] += 0.5 * each
+    return replace(forward, slopes=slopes, curved=curved)
 
 
 def _named(parameters: Sequence[Parameter], x: Array) -> dict[str, float]:

@@ -1,14 +1,11 @@
 """Constants of an organ and of its contact that a log may determine, and runs of the organ."""
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
-from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from time import perf_counter
 
 import numpy as np
 
@@ -166,11 +163,6 @@ LAW_MS = 5.0
 
 A short time is needed because measured tissue has no latency.
 """
-PAYS_S = 2.0
-"""Shortest duration of a run for which additional processes save time [s].
-
-A process takes about this time to start.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +180,7 @@ class Poses:
 class OrganRuns:
     """Runs of an organ along a log's poses.
 
-    The runs use this process, or several processes if a run takes long.
+    Several runs use several processes.
 
     Parameters
     ----------
@@ -225,19 +217,10 @@ class OrganRuns:
         self._settings = poses, tuple(channels), every
         self._run = partial(_loads, scene, *self._settings)
         self._cores = cores
-        self._pool: Executor | None = None
-        self._ends = ExitStack()
-        self._longest_s = 0.0
 
     def of(self, scene: Scene, sample: Mapping[str, float]) -> Array:
         """Return the loads of one run of another scene along the same poses."""
         return _loads(scene, *self._settings, sample)
-
-    def __enter__(self) -> "OrganRuns":
-        return self
-
-    def __exit__(self, *problem: object) -> None:
-        self._ends.close()
 
     def __call__(self, samples: Sequence[Mapping[str, float]]) -> list[Array]:
         """Return the loads on the tool for each set of constants, shape (n, channels) each.
@@ -251,18 +234,11 @@ class OrganRuns:
             is one run.
         """
         self.count += len(samples)
-        # the first runs are timed in this process: for short runs, the start of a pool takes longer
-        # than it saves
-        if self._pool is None and min(self._cores, len(samples)) > 1 and self._longest_s > PAYS_S:
-            self._pool = self._ends.enter_context(worker_pool(self._cores))
-        if self._pool is not None:
-            return list(self._pool.map(self._run, samples))
-        found = []
-        for sample in samples:
-            begun_s = perf_counter()
-            found.append(self._run(sample))
-            self._longest_s = max(self._longest_s, perf_counter() - begun_s)
-        return found
+        cores = min(self._cores, len(samples))
+        if cores == 1:
+            return [self._run(sample) for sample in samples]
+        with worker_pool(cores) as pool:
+            return list(pool.map(self._run, samples))
 
 
 def _loads(

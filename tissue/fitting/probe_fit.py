@@ -8,8 +8,8 @@ again (bootstrap, Efron 1979, Ann. Stat. 7:1). The error of the mesh is added to
 error is the shift of the constants in a fit on a mesh with two thirds of the edge lengths.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -25,7 +25,6 @@ from tissue.fitting.organ_runs import organ_parameters
 from tissue.fitting.pictures import draw_rows
 from tissue.fitting.probe_laws import (
     SHAPES,
-    LayerScene,
     ProbeCurves,
     layer_scene,
     probe_curves,
@@ -33,8 +32,8 @@ from tissue.fitting.probe_laws import (
     shape_keys,
 )
 from tissue.fitting.probe_table import ProbeTable, at_common_depths, read_presses
+from tissue.fitting.problem import Parameter, chosen
 from tissue.fitting.result import ConstantFit, Fitted
-from tissue.materials.constants import Prior
 from tissue.scene.scene import Scene
 
 __all__ = [
@@ -149,9 +148,6 @@ class ProbeFit(Fitted):
     misfit
         Difference between the fitted curve and the median curve, divided by the median curve (L2
         norms).
-    noise
-        Median, 5 and 95 % quantiles of the difference between the medians of two random halves of
-        the presses, divided by one of these medians (L2 norms), shape (3,).
     notes
         Findings and assumptions, in sentences.
     """
@@ -164,8 +160,8 @@ class ProbeFit(Fitted):
     force_N: Array
     bias_N: float
     misfit: float
-    noise: Array
     notes: tuple[str, ...]
+    fixed: Mapping[str, float] = field(default_factory=dict)
     source: ClassVar[str] = "table of presses"
     meaning: ClassVar[str] = (
         "value: best fit; range: 5 and 95 % of resampled presses and error of the mesh."
@@ -181,9 +177,7 @@ class ProbeFit(Fitted):
     @property
     def numbers(self) -> dict[str, Any]:
         """See `Fitted`."""
-        halves = dict(zip(("p05", "p50", "p95"), self.noise.tolist(), strict=True))
-        found = {"law": self.law, "misfit": self.misfit, "bias_N": self.bias_N}
-        return found | {"half_difference": halves}
+        return {"law": self.law, "misfit": self.misfit, "bias_N": self.bias_N}
 
     @property
     def columns(self) -> dict[str, Array]:
@@ -239,30 +233,12 @@ class ProbeFit(Fitted):
     @property
     def sentences(self) -> tuple[str, ...]:
         """See `Fitted`."""
-        low, middle, high = (100.0 * self.noise).tolist()
         return (
             f"the fitted curve differs from the median of {len(self.table.forces_N)} presses by "
-            f"{self.misfit:.1%}; the medians of two random halves of the presses differ by "
-            f"{middle:.2g} % ({low:.2g} to {high:.2g} %)",
+            f"{self.misfit:.1%}",
             f"zero of the force sensor: {1e3 * self.bias_N:.3g} mN",
             *self.notes,
         )
-
-
-def half_differences(forces_N: Array, *, splits: int = 200, seed: int = SEED) -> Array:
-    """Return the differences between the medians of two random halves of presses, shape (splits,).
-
-    Each result is the L2 norm of the difference divided by the L2 norm of the second median.
-    """
-    random = np.random.default_rng(seed)
-    half = len(forces_N) // 2
-    found = []
-    for _ in range(splits):
-        order = random.permutation(len(forces_N))
-        first = median_curve(forces_N[order[:half]])
-        second = median_curve(forces_N[order[half:]])
-        found.append(np.linalg.norm(first - second) / np.linalg.norm(second))
-    return np.array(found)
 
 
 def common_pattern(forces_N: Array, fitted_N: Array) -> float:
@@ -307,22 +283,20 @@ def presses_for(
     """
     presses, notes = read_presses(path, found, columns)
     refused: list[InputError] = []
-    table: ProbeTable | None = None
+    deepest_m = max((float(depth[-1]) for depth, _ in presses if len(depth)), default=0.0)
     try:
         table = at_common_depths(path, presses, notes)
+        deepest_m = float(table.depths_m.max())
     except InputError as error:
         refused.append(error)
     try:
-        layer = layer_scene(scene)
-        deepest_m = max((float(depth[-1]) for depth, _ in presses if len(depth)), default=0.0)
-        require_shallow(layer, deepest_m if table is None else float(table.depths_m.max()))
+        require_shallow(layer_scene(scene), deepest_m)
     except InputError as error:
         refused.append(error)
     if len(refused) > 1:
         raise InputError(". ".join(map(str, refused)))
     if refused:
         raise refused[0]
-    assert table is not None
     return table
 
 
@@ -354,7 +328,9 @@ def fit_probes(
         If the scene has no such slab or ball, or `free` names a constant that cannot be fitted.
     """
     layer = layer_scene(scene)
-    keys = _free_keys(scene, layer, free)
+    modulus, *shapes = _parameters(scene, shape_keys(layer.organ))
+    free_shapes = [each for each in chosen(free, [modulus, *shapes]) if each is not modulus]
+    keys = tuple(each.name.rpartition(".")[2] for each in free_shapes)
     curves = probe_curves(
         layer, table.depths_m, keys, progress=lambda doing, share: progress(doing, 0.8 * share)
     )
@@ -365,22 +341,15 @@ def fit_probes(
     draws = random.integers(0, len(forces), (RESAMPLES, len(forces)))
     drawn = fit_curves(curves, median_curve(forces, draws))
     progress("estimating the error of the mesh", 0.9)
-    fixed = _with_shape(layer, keys, best.shape[0])
+    changes = dict(zip(keys, best.shape[0].tolist(), strict=True))
+    fixed = replace(layer, organ=layer.organ.model_copy(update=changes))
     finer = probe_curves(fixed, table.depths_m, (), first=FIRST / FINER)
     shifted = fit_curves(curves, best.modulus_Pa[:, None] * finer.unit_N_Pa)
+    values = [(1e-3 * best.modulus_Pa[0], 1e-3 * drawn.modulus_Pa, 1e-3 * shifted.modulus_Pa[0])]
+    values += zip(best.shape[0], drawn.shape.T, shifted.shape[0], strict=True)
     constants = [
-        _constant(name, prior, factor, values, len(forces))
-        for (name, prior, factor), values in zip(
-            _named(scene, keys),
-            [
-                (best.modulus_Pa[0], drawn.modulus_Pa, shifted.modulus_Pa[0]),
-                *(
-                    (best.shape[0, at], drawn.shape[:, at], shifted.shape[0, at])
-                    for at in range(len(keys))
-                ),
-            ],
-            strict=True,
-        )
+        _constant(parameter, each, len(forces))
+        for parameter, each in zip([modulus, *free_shapes], values, strict=True)
     ]
     notes = (
         *table.notes,
@@ -390,7 +359,6 @@ def fit_probes(
         f"intervals from {RESAMPLES} draws of {len(forces)} presses and from the error of the mesh",
     )
     middle = median_curve(forces)
-    halves = half_differences(forces)
     return ProbeFit(
         scene.name,
         table.path,
@@ -400,53 +368,31 @@ def fit_probes(
         best.force_N[0],
         float(best.bias_N[0]),
         float(np.linalg.norm(best.force_N[0] - middle) / np.linalg.norm(middle)),
-        np.quantile(halves, [0.05, 0.5, 0.95]),
         notes,
     )
 
 
-def _free_keys(scene: Scene, layer: LayerScene, free: Sequence[str]) -> tuple[str, ...]:
-    """Return the free shape constants; `free` may name the modulus too, which is always free."""
-    possible = shape_keys(layer.organ)
-    known = [name for name, _, _ in _named(scene, possible)]
-    short = {name.rpartition(".")[2]: name for name in known}
-    asked = [short.get(each, each) for each in free]
-    for given, name in zip(free, asked, strict=True):
-        if name not in known:
-            raise InputError(
-                "free", "name constants of this table", given, f"choose among {', '.join(known)}"
-            )
-    return tuple(key for key in possible if not free or short[key] in asked)
-
-
-def _with_shape(layer: LayerScene, keys: tuple[str, ...], shape: Array) -> LayerScene:
-    changes = dict(zip(keys, shape.tolist(), strict=True))
-    return replace(layer, organ=layer.organ.model_copy(update=changes))
-
-
-def _named(scene: Scene, keys: tuple[str, ...]) -> list[tuple[str, Prior, float]]:
-    """Return name, prior and factor to SI units of the modulus and of the shape constants."""
+def _parameters(scene: Scene, keys: tuple[str, ...]) -> list[Parameter]:
+    """Return the modulus and the shape constants of the organ's law."""
     parameters, _ = organ_parameters(scene, ())
-    by_name = {each.name: each.prior for each in parameters}
-    modulus = next(name for name in by_name if name.endswith(("modulus_kPa", "young_kPa")))
-    found = [(modulus, by_name[modulus], 1e3)]
-    for key in keys:
-        # A rate that the scene does not state is a constant of the material.
-        name = next(each for each in by_name if each.rpartition(".")[2] == key)
-        found.append((name, by_name[name], 1.0))
-    return found
+    ends = ("modulus_kPa", "young_kPa")
+    modulus = next(each for each in parameters if each.name.endswith(ends))
+    # A rate that the scene does not state is a constant of the material.
+    by_key = {each.name.rpartition(".")[2]: each for each in parameters}
+    return [modulus, *(by_key[key] for key in keys)]
 
 
-def _constant(
-    name: str, prior: Prior, unit: float, values: tuple[float, Array, float], count: int
-) -> ConstantFit:
+def _constant(parameter: Parameter, values: tuple[float, Array, float], count: int) -> ConstantFit:
     """Return a constant with its interval.
+
+    The values are the best fit, the fits to resampled presses, and the fit to another mesh.
 
     If there are only a few presses, the results of resampled sets scatter too little. The
     logarithms of these results are therefore stretched by the ratio of Student's quantile to the
     normal quantile, and by sqrt(n / (n - 1)) for n presses.
     """
-    best, drawn, shifted = (np.log(np.maximum(each, 1e-12) / unit) for each in values)
+    prior = parameter.prior
+    best, drawn, shifted = (np.log(np.maximum(each, 1e-12)) for each in values)
     stretch = t.ppf(0.95, count - 1) / norm.ppf(0.95) * np.sqrt(count / (count - 1.0))
     low, middle, high = np.quantile(drawn, [0.05, 0.5, 0.95])
     mesh = norm.ppf(0.95) * abs(shifted - best)
@@ -457,7 +403,7 @@ def _constant(
     spread = (ends[2] - ends[0]) / (2.0 * norm.ppf(0.95))
     state = "determined" if highest < DETERMINED * lowest else "narrowed"
     return ConstantFit(
-        name,
+        parameter.name,
         prior,
         lowest,
         value,

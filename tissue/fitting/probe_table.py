@@ -9,11 +9,11 @@ from scipy.interpolate import PchipInterpolator
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from meshes.base.units import column_of, name_of, unit_of
-from tissue.fitting.log_columns import TIMES, parsed, quantity
+from meshes.base.units import name_of
+from tissue.fitting.log_columns import TIMES, column_for, parsed, quantities
 from tissue.fitting.log_files import LogColumns, refusal
 
-__all__ = ["ProbeTable", "at_common_depths", "is_probe_table", "read_presses", "read_probes"]
+__all__ = ["ProbeTable", "at_common_depths", "is_probe_table", "read_presses"]
 
 
 DEPTH = "depth_mm"
@@ -21,8 +21,6 @@ FORCE = "force_N"
 PROBE = "probe"
 MEASURES = {DEPTH: "length", FORCE: "force", PROBE: "number"}
 """Kind of quantity in each column, as a key of `meshes.base.units.UNITS`."""
-USUAL = {DEPTH: ("indentation", "displacement", "penetration"), FORCE: ("load", "fn"), PROBE: ()}
-"""Usual names of a column in lower-case letters. They are used only if the header has a unit."""
 FEWEST_PROBES = 3
 """Smallest number of presses. The intervals follow from the scatter between presses."""
 FEWEST_STEPS = 4
@@ -60,27 +58,7 @@ def is_probe_table(names: Sequence[str], columns: Sequence[str]) -> bool:
     asked = {each.partition("=")[0].strip() for each in columns}
     if "time_s" in asked or any(name_of(each, "time") in TIMES for each in names):
         return False
-    return DEPTH in asked or _column(DEPTH, names) is not None
-
-
-def _column(name: str, names: Sequence[str]) -> str | None:
-    """Return the column of a quantity by its name, in any unit, or by a usual name with a unit."""
-    measure = MEASURES[name]
-    found = column_of(name, measure, names)
-    if found is None:
-        likely = [each for each in names if name_of(each, measure) in USUAL[name]]
-        likely = [each for each in likely if unit_of(each, measure)]
-        found = likely[0] if len(likely) == 1 else None
-    return found
-
-
-def read_probes(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> ProbeTable:
-    """Read presses from the columns of a file, at common depths.
-
-    Parameters and errors are those of `read_presses` and `at_common_depths`.
-    """
-    presses, notes = read_presses(path, found, columns)
-    return at_common_depths(path, presses, notes)
+    return DEPTH in asked or column_for(DEPTH, "length", names) is not None
 
 
 def read_presses(
@@ -103,15 +81,8 @@ def read_presses(
     InputError
         If a column is missing.
     """
-    asked = parsed(columns, tuple(MEASURES))
     notes = [*found.notes]
-    values: dict[str, Array] = {}
-    for name, measure in MEASURES.items():
-        column = asked.get(name) or _column(name, found.names)
-        if column is not None:
-            _, numbers = quantity(name, measure, column, found, notes)
-            if numbers is not None:
-                values[name] = numbers
+    values, _ = quantities(found, parsed(columns, tuple(MEASURES)), MEASURES, notes)
     for name in (DEPTH, FORCE):
         if name not in values:
             raise refusal(

@@ -4,7 +4,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -139,7 +138,7 @@ class Fitted(ABC):
     name: str
     path: Path
     notes: tuple[str, ...]
-    fixed: Mapping[str, float] = MappingProxyType({})
+    fixed: Mapping[str, float]
     laws: tuple[LawMisfit, ...] = ()
     constants: tuple[ConstantFit, ...]
     """All fitted constants."""

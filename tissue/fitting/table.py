@@ -10,7 +10,9 @@ from scipy.sparse import csr_array, eye_array
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
+from meshes.base.units import column_of
 from tissue.fitting.cutting import CuttingForward, forward_of
+from tissue.fitting.log_columns import parsed, quantities
 from tissue.fitting.log_files import LogColumns, refusal
 from tissue.fitting.problem import MeasuredLoads
 from tissue.fitting.target import Target, Unpacked
@@ -26,17 +28,19 @@ from tissue.simulation.trace import Table
 __all__ = ["SteadyTable", "TableTarget", "is_table", "read_table", "table_forward"]
 
 
-FEEDS = ("feed_mm_min", "feed_mm_s", "feed_mm_per_turn")
+FEEDS = ("feed_mm_s", "feed_mm_per_turn")
 SPIN = "spin_rpm"
-LOADS = {
-    "thrust_N": ("force_z_N", 1.0),
-    "torque_Nm": ("torque_z_Nm", 1.0),
-    "torque_Nmm": ("torque_z_Nm", 1e-3),
-}
-"""Channel of the simulation and factor to SI units, for each column of loads in a table."""
-SCATTERS = {name: name.replace("_", "_pm_") for name in LOADS}
+CHANNELS = {"thrust_N": "force_z_N", "torque_Nm": "torque_z_Nm"}
+"""Channel of the simulation for each column of loads in a table."""
+SCATTERS = {"thrust_N": "thrust_pm_N", "torque_Nm": "torque_pm_Nm"}
 """Columns of the scatter of each load: one standard deviation."""
-COLUMNS = (*FEEDS, SPIN, *LOADS, *SCATTERS.values())
+MEASURES = {
+    **dict(zip(FEEDS, ("speed", "length"), strict=True)),
+    SPIN: "number",
+    **dict.fromkeys(("thrust_N", "thrust_pm_N"), "force"),
+    **dict.fromkeys(("torque_Nm", "torque_pm_Nm"), "torque"),
+}
+"""Kind of quantity in each column, as a key of `meshes.base.units.UNITS`."""
 FEWEST_ROWS = 2
 DRILL = "twist-drill"
 LAYER = "bone"
@@ -59,8 +63,8 @@ class SteadyTable:
         Thrust [N] and torque [N m], as far as they were measured, shape (n, channels).
     scatter
         Standard deviation of each load, shape (n, channels). None if the table has no scatter.
-    names, channels
-        Names of the loads in the table, and names of the corresponding channels of the simulation.
+    channels
+        Channels of the simulation that correspond to the loads.
     notes
         Findings and assumptions, in sentences.
     """
@@ -69,7 +73,6 @@ class SteadyTable:
     feeds_per_turn_m: Array
     loads: Array
     scatter: Array | None
-    names: tuple[str, ...]
     channels: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
@@ -90,10 +93,11 @@ def is_table(names: Sequence[str]) -> bool:
 
     A file with a column ``time_s`` is a log.
     """
-    return "time_s" not in names and bool({*FEEDS, *LOADS} & set(names))
+    named = (*FEEDS, *CHANNELS)
+    return "time_s" not in names and any(column_of(each, MEASURES[each], names) for each in named)
 
 
-def read_table(path: Path, found: LogColumns) -> SteadyTable:
+def read_table(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> SteadyTable:
     """Read a table of steady loads from the columns of a file.
 
     Parameters
@@ -105,6 +109,8 @@ def read_table(path: Path, found: LogColumns) -> SteadyTable:
         ``spin_rpm``, or ``feed_mm_per_turn``. The columns of the loads are ``thrust_N``, and
         ``torque_Nmm`` or ``torque_Nm``; at least one of them is needed. The standard deviation of
         a load is in a column such as ``thrust_pm_N``.
+    columns
+        ``NAME=COLUMN`` or ``NAME=COLUMN:UNIT`` for a column with another name or unit.
 
     Raises
     ------
@@ -112,68 +118,50 @@ def read_table(path: Path, found: LogColumns) -> SteadyTable:
         If a column is missing or unknown, or a number is not above zero.
     """
     refuse = partial(refusal, path)
-    if unknown := [name for name in found.names if name not in COLUMNS]:
+    notes = [*found.notes]
+    values, unused = quantities(found, parsed(columns, tuple(MEASURES)), MEASURES, notes)
+    if unused:
         raise refuse(
-            f"hold columns named {', '.join(COLUMNS)}",
-            ", ".join(unknown[:12]),
+            f"hold one column each of {', '.join(MEASURES)}, in any unit",
+            ", ".join(unused[:12]),
             "rename these columns or leave them out",
         )
-    feeds = [name for name in FEEDS if name in found.names]
+    feeds = [name for name in FEEDS if name in values]
     if len(feeds) != 1:
         raise refuse(
             f"hold one column of {', '.join(FEEDS)}",
             " and ".join(feeds) or "none",
             "state the feed once",
         )
-    if feeds[0] != FEEDS[2] and SPIN not in found.names:
-        raise refuse(f"hold {SPIN} with {feeds[0]}", "none", f"add {SPIN}, or give {FEEDS[2]}")
-    names = tuple(name for name in LOADS if name in found.names)
-    channels = tuple(LOADS[name][0] for name in names)
-    if not names or len(set(channels)) < len(channels):
+    if feeds[0] == FEEDS[0] and SPIN not in values:
+        raise refuse(f"hold {SPIN} with {feeds[0]}", "none", f"add {SPIN}, or give {FEEDS[1]}")
+    loads = [name for name in CHANNELS if name in values]
+    scatters = [name for name in SCATTERS.values() if name in values]
+    if not loads or scatters not in ([], [SCATTERS[name] for name in loads]):
         raise refuse(
-            "hold thrust_N, or torque_Nmm or torque_Nm, or a thrust and a torque",
-            " and ".join(names) or "neither",
-            "state each load once",
+            "hold a thrust_N or a torque_Nm, and a scatter of each load or of no load",
+            ", ".join(found.names),
+            f"state each load, and {' and '.join(SCATTERS.values())} or none of them",
         )
-    scattered = tuple(load for load, name in SCATTERS.items() if name in found.names)
-    if scattered and scattered != names:
-        raise refuse(
-            "hold the scatter of each load in the unit of the load, or no scatter",
-            ", ".join(SCATTERS[load] for load in scattered),
-            f"give {' and '.join(SCATTERS[load] for load in names)}",
-        )
-
-    def positive(name: str) -> Array:
-        """Return a column whose numbers must be positive."""
-        values = found.numbers(name)
-        wrong = np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
+    for name, each in values.items():
+        wrong = np.flatnonzero(~(np.isfinite(each) & (each > 0.0)))
         if len(wrong):
-            value = f"{values[wrong[0]]:g} in row {wrong[0] + 1}"
+            value = f"another value in row {wrong[0] + 1}"
             raise refuse(f"hold numbers above 0 as {name}", value, "correct or remove that row")
-        return values
-
-    columns = {name: positive(name) for name in found.names}
-    feeds_mm = columns[feeds[0]]
-    if len(feeds_mm) < FEWEST_ROWS:
+    feed_m = values[feeds[0]]
+    if len(feed_m) < FEWEST_ROWS:
         raise refuse(
             f"hold {FEWEST_ROWS} rows or more", "1 row", "add rows of other feeds or speeds"
         )
-    if feeds[0] == "feed_mm_min":
-        feeds_mm = feeds_mm / columns[SPIN]
-    elif feeds[0] == "feed_mm_s":
-        feeds_mm = 60.0 * feeds_mm / columns[SPIN]
-    factors = np.array([LOADS[name][1] for name in names])
-    scatter = None
-    if scattered:
-        scatter = factors * np.column_stack([columns[SCATTERS[name]] for name in names])
+    if feeds[0] == FEEDS[0]:
+        feed_m = 60.0 * feed_m / values[SPIN]
     return SteadyTable(
         path,
-        1e-3 * feeds_mm,
-        factors * np.column_stack([columns[name] for name in names]),
-        scatter,
-        names,
-        channels,
-        found.notes,
+        feed_m,
+        np.column_stack([values[name] for name in loads]),
+        np.column_stack([values[name] for name in scatters]) if scatters else None,
+        tuple(CHANNELS[name] for name in loads),
+        tuple(notes),
     )
 
 
@@ -222,7 +210,7 @@ def table_forward(scene: Scene, table: SteadyTable, free: Sequence[str] = ()) ->
             table.path,
             f"hold feeds below the drill's radius per tooth ({tool.diameter_mm / 2.0:g} mm)",
             f"{1e3 * thickest_m:.3g} mm",
-            f"give the unit of the feed by the name of its column, one of {', '.join(FEEDS)}",
+            "give the unit of the feed in the name of its column, such as feed_mm_min",
         )
     notes = table.notes
     if thickest_m > THICKEST_M:

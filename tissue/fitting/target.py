@@ -172,6 +172,8 @@ class Target:
         Function from the constants to the loads.
     log
         Measured loads.
+    sizes
+        Size of the loads of each channel, shape (channels,). Default: the size in the log.
 
     Attributes
     ----------
@@ -181,12 +183,12 @@ class Target:
         Side of each constant, shape (p,), see `tissue.fitting.problem.Parameter.side`.
     """
 
-    def __init__(self, forward: Forward, log: MeasuredLoads) -> None:
+    def __init__(self, forward: Forward, log: MeasuredLoads, *, sizes: Array | None = None) -> None:
         self.forward = forward
         self.log = log
         self._priors = [each.prior for each in forward.parameters]
         self._channels = [forward.channels.index(name) for name in log.channels]
-        self._sizes = log.sizes()
+        self._sizes = log.sizes() if sizes is None else sizes
         self.constants = len(self._priors)
         self.places = self.constants + 1 + len(log.channels)
         self.size = self.places + 3 * len(log.channels)

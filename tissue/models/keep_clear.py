@@ -71,6 +71,7 @@ class _Breach:
     deepest_now_m: float = 0.0
     lasted_s: float = 0.0
     first_s: float | None = None
+    first_below_s: float | None = None
 
 
 class KeepClear:
@@ -98,6 +99,8 @@ class KeepClear:
         box is not known.
     times_s
         Times at which distances are measured [s]; None to measure in every tick.
+    margin_m
+        Distance below which an event is reported [m]; 0 to report only breaches.
 
     Attributes
     ----------
@@ -122,8 +125,10 @@ class KeepClear:
         points_m: Array | None = None,
         box_m: Array | None = None,
         times_s: Array | None = None,
+        margin_m: float = 0.0,
     ) -> None:
         self._times_s = times_s
+        self._margin_m = margin_m
         self.points_m = np.zeros((1, 3)) if points_m is None else points_m
         self.distances = dict(distances or {})
         self.names = tuple(f"distance_{name}_mm" for name in structures)
@@ -167,6 +172,10 @@ class KeepClear:
     def _follow(self, breach: _Breach, distance_m: float) -> None:
         """Update the record of a structure, and report the entry and the exit of the tool."""
         breach.least_m = min(breach.least_m, distance_m)
+        is_too_close = self._margin_m > 0.0 and distance_m < self._margin_m
+        if is_too_close and breach.first_below_s is None:
+            breach.first_below_s = self._now_s
+            self.notices.append(f"came closer than {1e3 * self._margin_m:g} mm to {breach.name}")
         if distance_m < 0.0:
             if breach.began_s is None:
                 breach.began_s = self._now_s
@@ -203,18 +212,25 @@ class KeepClear:
         """Return the smallest distance and the breaches of each structure, as a dictionary by name.
 
         The values of a structure are the smallest distance [mm], the largest depth [mm] and total
-        duration [s] of the breaches, and the time of the first breach [s].
+        duration [s] of the breaches, and the time of the first breach [s]. With a margin, they also
+        are the margin [mm] and the first time at which the distance was smaller [s].
         """
-        return {
-            breach.name: {
+        found = dict[str, dict[str, float | None]]()
+        for breach in self._breaches:
+            if breach.least_m == inf:
+                continue
+            found[breach.name] = {
                 "least_distance_mm": 1e3 * breach.least_m,
                 "breach_depth_mm": 1e3 * breach.deepest_m,
                 "breach_s": breach.lasted_s,
                 "first_breach_s": breach.first_s,
             }
-            for breach in self._breaches
-            if breach.least_m < inf
-        }
+            if self._margin_m > 0.0:
+                found[breach.name] |= {
+                    "margin_mm": 1e3 * self._margin_m,
+                    "first_below_margin_s": breach.first_below_s,
+                }
+        return found
 
 
 class _Search:

@@ -93,7 +93,14 @@ class Ranking(ranking.Ranking):
 
 
 @suggests_arguments
-def rank(folder: str | Path, reference: Run | str | Path) -> Ranking:
+def rank(
+    folder: str | Path,
+    reference: Run | str | Path,
+    *,
+    force_limit_N: float | None = None,
+    deviation_limit_mm: float = 1.0,
+    overshoot_limit_mm: float = 0.5,
+) -> Ranking:
     """Order trainees by breaches and by the mean score of their runs of one scene.
 
     Trainees with a smaller share of runs that breached a structure of ``[keep_clear]`` come first.
@@ -111,10 +118,20 @@ def rank(folder: str | Path, reference: Run | str | Path) -> Ranking:
         attempts.
     reference
         Reference run, or its folder, with which the runs of all trainees are compared.
+    force_limit_N, deviation_limit_mm, overshoot_limit_mm
+        Limits for the runs of all trainees; see `assess`.
 
     Raises
     ------
     InputError
         If a folder holds no run, or no run can be ranked.
     """
-    return Ranking(**vars(ranking.rank(Path(folder), assessed_run(reference), assessed_run)))
+    found = ranking.rank(
+        Path(folder),
+        assessed_run(reference),
+        assessed_run,
+        force_limit_N=force_limit_N,
+        deviation_limit_mm=deviation_limit_mm,
+        overshoot_limit_mm=overshoot_limit_mm,
+    )
+    return Ranking(**vars(found))

@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from tissue.materials.scene_constants import Materials
     from tissue.models.bone.bricks_on_demand import BricksOnDemand
     from tissue.objects.bone_surface import Removed
-    from tissue.objects.cut import Cut
-    from tissue.objects.cutting import Structures
+    from tissue.objects.cutting import Cut, Structures
 
 __all__ = ["Bone", "constants_of"]
 

@@ -1,7 +1,6 @@
 """Comparison of several runs: differences of scenes and figures, plots, and all traces."""
 
 import csv
-import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import StringIO
@@ -13,12 +12,11 @@ from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import unknown_name
 from meshes.base.whole_file import write_text
 from tissue.evaluation.assessment import path_note
+from tissue.evaluation.same_task import scene_differences
 from tissue.objects.html import figures_of, figures_of_trace, table_html
 from tissue.objects.run import Run
 from tissue.objects.trace import needed
 from tissue.scene.load import full_key, names_file
-from tissue.scene.messages import entries
-from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.run_folder import PICTURE_FORMATS
 from tissue.simulation.saved_fields import field_label
@@ -36,7 +34,6 @@ __all__ = [
     "PLOTTED",
     "Comparison",
     "compare",
-    "entries_of",
     "shortened",
     "split_formats",
     "write_rows",
@@ -55,6 +52,8 @@ LONGEST_VALUE = 60
 """Largest number of characters that a line uses for the value of a scene key."""
 LONGEST_LABEL = 40
 """Largest number of characters of a legend entry that shows how a run differs."""
+DESCRIBING = ("name", "description")
+"""Keys of a scene that have no effect on its run."""
 BUILT_IN_IF_EMPTY = ("materials", "device.coupling.predictor_file")
 """Keys of files. If the value is empty, a built-in file is used."""
 OUTSIDE = {"tissue": "version of tissue", "compute": "compute device", "machine": "machine"}
@@ -93,7 +92,10 @@ class Comparison:
             raise InputError("compare", "be given at least two runs", len(runs), "name another run")
         self.runs = dict(runs)
         self.figures = {name: _figures(run) for name, run in runs.items()}
-        self.scene_differences = _differences([run.scene for run in runs.values()])
+        differences = scene_differences(*(run.scene for run in runs.values()))
+        self.scene_differences = {
+            key: values for key, values in differences.items() if key not in DESCRIBING
+        }
         self.notes = list(_notes(self.runs, self.figures))
         self._legend = legend
 
@@ -375,15 +377,6 @@ def split_formats(formats: Iterable[str]) -> tuple[tuple[str, ...], tuple[str, .
     return pictures or PICTURE_FORMATS[:1], tuple(kind for kind in formats if kind in FORMATS)
 
 
-def entries_of(scene: Scene) -> dict[str, object]:
-    """Return the entries of a scene by dotted key, with defaults.
-
-    Name and description are left out.
-    """
-    values = dict(entries(tomllib.loads(scene.to_toml())))
-    return {key: value for key, value in values.items() if key not in ("name", "description")}
-
-
 def shortened(key: str, values: Sequence[Any]) -> Sequence[Any]:
     """Return values for a legend: file names instead of paths, unless two files share a name."""
     if not names_file(full_key(key)):
@@ -402,13 +395,6 @@ def write_rows(path: Path, titles: Sequence[str], rows: Iterable[Sequence[object
 def _number(value: float | None) -> str:
     """Return a number of a table as text; empty for None."""
     return "" if value is None else f"{value:.4g}"
-
-
-def _differences(scenes: list[Scene]) -> dict[str, tuple[object, ...]]:
-    scenes_entries = [entries_of(scene) for scene in scenes]
-    keys = dict.fromkeys(key for each in scenes_entries for key in each)
-    found = {key: tuple(each.get(key) for each in scenes_entries) for key in keys}
-    return {key: values for key, values in found.items() if values != values[:1] * len(values)}
 
 
 def _figures(run: Run) -> dict[str, float]:
@@ -470,8 +456,20 @@ def _stated(key: str, value: object, keys: Iterable[str]) -> str:
 
 
 def _names(runs: list[Run]) -> list[str]:
-    """Return the names of runs by their folders or scenes; equal names are numbered."""
+    """Return the names of runs by their folders or scenes; equal names are numbered.
+
+    If runs in folders of equal names lie in different parent folders, the names of these parents
+    are used.
+    """
     plain = [run.scene.name if run.path is None else run.path.resolve().name for run in runs]
+    folders = [run.path.resolve().parts for run in runs if run.path is not None]
+    if len(folders) == len(runs) == len(set(folders)):
+        size = 1
+        while len({parts[-size:] for parts in folders}) < len(runs):
+            size += 1
+        ends = [parts[-size:] for parts in folders]
+        differing = [at for at in range(-size, 0) if len({end[at] for end in ends}) > 1]
+        return ["/".join(end[at] for at in differing) for end in ends]
     count = Counter(plain)
     return [
         f"{name} {plain[: at + 1].count(name)}" if count[name] > 1 else name

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from meshes.base.errors import InputError
 from meshes.base.file_limits import memory_limit
 from meshes.base.hints import suggests_arguments
 from tissue.fitting.fit import fit_scene, fit_table
@@ -161,19 +160,7 @@ def fit(
                 presses = presses_for(scene, path, found, maps)
                 return Fit(fit_probes(scene, presses, free=free, progress=report))
             if is_table(found.names) and not any(each.startswith("time_s=") for each in maps):
-                _require_own_names(maps)
-                table = read_table(path, found)
+                table = read_table(path, found, maps)
                 return Fit(fit_table(scene, table, free=free, progress=report))
             log = log_of(path, found, maps)
         return Fit(fit_scene(scene, log, free=free, cores=cores, progress=report))
-
-
-def _require_own_names(maps: Sequence[str]) -> None:
-    """Refuse `columns` for a table of steady loads, whose columns must have the standard names."""
-    if maps:
-        raise InputError(
-            "column",
-            "be left out for a table of steady loads",
-            maps[0],
-            "rename the columns in the file",
-        )

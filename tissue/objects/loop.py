@@ -27,13 +27,12 @@ from tissue.models.tissue_model import TICK_S, HasVoxels, TissueModel
 from tissue.models.tooth.model import ToothModel
 from tissue.motion.motion import Events, StaysAt
 from tissue.objects.bone import Bone
-from tissue.objects.cut import saved_table
-from tissue.objects.cutting import Structures, clearance_of, warn_of
+from tissue.objects.cutting import Structures, clearance_of, saved_table, warn_of
 from tissue.objects.loop_settings import (
     LONGEST_S,
-    Extent,
     JudgedDevice,
     LoopOptions,
+    extent,
     fitted,
     judged_device,
     leave_out,
@@ -176,8 +175,12 @@ class Loop:
         """
         require_known(options, LoopOptions, of="Loop")
         tissue = tissue_of(tissue)
-        extent = Extent.of(tissue, longest_s=longest_s, step_ms=step_ms, reach_mm=reach_mm)
-        self._most = extent.rows
+        self._most, ticks, reach_m = extent(
+            is_scene=isinstance(tissue, Scene),
+            longest_s=longest_s,
+            step_ms=step_ms,
+            reach_mm=reach_mm,
+        )
         self._closing = ExitStack()
         self._warned = set[str]()
         self._device: HandMotion | None = None
@@ -190,7 +193,7 @@ class Loop:
             given = {"tool": tool, "device": device, "start_mm": start_mm, "axis": axis}
             leave_out(given | {"keep_clear": keep_clear} | options, "with a scene")
             made_from = scene_arguments(tissue)
-            parts, prepared = posed_parts(tissue, reach_m=extent.reach_m, cores=cores)
+            parts, prepared = posed_parts(tissue, reach_m=reach_m, cores=cores)
             self.notes = parts.notes
         else:
             leave_out({"cores": cores}, "without a scene")
@@ -200,22 +203,22 @@ class Loop:
             fitting = fitted(tissue, tool, keep_clear)
             if device is None:
                 leave_out(options, "without a device")
-            elif extent.ticks != 1:
+            elif ticks != 1:
                 raise InputError("step_ms", "be 1 with a device", step_ms, "leave it out")
             else:
                 judged = judged_device(device, tissue, fitting, start_m, along, options)
                 self._device = judged.motion
             # The tissue is prepared after the check, so a refused coupling leaves the bone
             # unchanged.
-            parts = self._prepared(tissue, fitting, start_m, along, extent.reach_m, keep_clear)
+            parts = self._prepared(tissue, fitting, start_m, along, reach_m, keep_clear)
             made_from = made_from_of(tissue, fitting, keep_clear)
             self.notes = dict(tissue.notes)
             if self._organ is not None:
-                prepared = region(start_m, along, extent.reach_m)
+                prepared = region(start_m, along, reach_m)
         if judged is None:
             self._session = PosedSession(
                 parts,
-                ticks=extent.ticks,
+                ticks=ticks,
                 rows=self._most,
                 made_from=made_from,
                 keep_ready=self._keep_ready,

@@ -38,9 +38,9 @@ from tissue.simulation.posed import Region
 
 __all__ = [
     "LONGEST_S",
-    "Extent",
     "JudgedDevice",
     "LoopOptions",
+    "extent",
     "fitted",
     "judged_device",
     "leave_out",
@@ -266,50 +266,28 @@ def tissue_of(tissue: Bone | Organ | Scene | str) -> Bone | Organ | Scene:
     return found
 
 
-@dataclass(frozen=True)
-class Extent:
-    """Size of a loop in time and space.
+def extent(
+    *, is_scene: bool, longest_s: float, step_ms: int, reach_mm: float | None
+) -> tuple[int, int, float]:
+    """Return the size of a loop in time and space from the arguments of a `Loop`.
 
-    Attributes
-    ----------
-    rows
-        Number of ticks that the trace keeps.
-    ticks
-        Number of ticks in a step.
-    reach_m
-        Distance around the tool, or around the path of a scene, within which tissue is prepared
-        [m].
+    The result is the number of ticks that the trace keeps, the number of ticks in a step, and the
+    distance around the tool or around the path of a scene within which tissue is prepared [m].
+
+    Raises
+    ------
+    InputError
+        If an argument is out of range.
     """
-
-    rows: int
-    ticks: int
-    reach_m: float
-
-    @classmethod
-    def of(
-        cls,
-        tissue: Bone | Organ | Scene,
-        *,
-        longest_s: float,
-        step_ms: int,
-        reach_mm: float | None,
-    ) -> "Extent":
-        """Return the extent from the arguments of a `Loop`.
-
-        Raises
-        ------
-        InputError
-            If an argument is out of range.
-        """
-        longest = require_range("longest_s", longest_s, TICK_S, LONGEST_S, "use 600")
-        ticks = require_range("step_ms", step_ms, 1, MOST_TICKS, "use 1")
-        if ticks != round(ticks):
-            raise InputError("step_ms", "be a whole number of ticks of 1 ms", step_ms, "use 1")
-        usual_mm = SCENE_REACH_MM if isinstance(tissue, Scene) else REACH_MM
-        least_mm = 0.0 if isinstance(tissue, Scene) else 0.5
-        reach = usual_mm if reach_mm is None else reach_mm
-        checked_mm = require_range("reach_mm", reach, least_mm, 100.0, f"use {usual_mm:g}")
-        return cls(round(longest / TICK_S), round(ticks), 1e-3 * checked_mm)
+    longest = require_range("longest_s", longest_s, TICK_S, LONGEST_S, "use 600")
+    ticks = require_range("step_ms", step_ms, 1, MOST_TICKS, "use 1")
+    if ticks != round(ticks):
+        raise InputError("step_ms", "be a whole number of ticks of 1 ms", step_ms, "use 1")
+    usual_mm = SCENE_REACH_MM if is_scene else REACH_MM
+    least_mm = 0.0 if is_scene else 0.5
+    reach = usual_mm if reach_mm is None else reach_mm
+    checked_mm = require_range("reach_mm", reach, least_mm, 100.0, f"use {usual_mm:g}")
+    return round(longest / TICK_S), round(ticks), 1e-3 * checked_mm
 
 
 def leave_out(given: Mapping[str, object], when: str) -> None:

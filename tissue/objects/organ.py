@@ -305,14 +305,25 @@ class Organ:
             liver.
         """
         from meshes.organs.liver import liver
-        from tissue.simulation.builders.arguments import soft_constants
+        from tissue.materials.scene_constants import Materials
+        from tissue.scene.used_constants import Used
+        from tissue.simulation.builders.arguments import given_note
         from tissue.simulation.builders.organ_made import StatedOrgan, made_of
 
+        given = Materials.of(materials)
+        cited = given.constants("soft", "liver")
         stated = {"modulus_kPa": modulus_kPa, "poisson_ratio": poisson_ratio}
+        used = [
+            Used("soft, liver", name, cited[name], f"soft.liver.{name}", value)
+            for name, value in stated.items()
+        ]
         with names_of_caller(
             {"organ.young_kPa": "modulus_kPa", "organ.poisson_ratio": "poisson_ratio"}
         ):
-            taken, notes = soft_constants(materials, "liver", stated)
+            notes = given_note(given, used, layers=(), by="organ")
+        taken = {
+            name: cited[name].value if value is None else value for name, value in stated.items()
+        }
         with names_of_caller({"spacing_m": "edge_mm"}):
             mesh = liver(spacing_m=1e-3 * edge_mm)
         return cls(made_of(mesh, notes, StatedOrgan.of(**taken, options=options)))

@@ -12,7 +12,6 @@ from meshes.base.errors import InputError
 from tissue.objects.plots import COLOURS, new_panels
 from tissue.show.figures.figure import plain, styled, torque_unit
 from tissue.show.figures.force_depth import first_descent
-from tissue.show.figures.tool_mesh import tool_turns
 from tissue.simulation.bone_surface import facing
 
 if TYPE_CHECKING:
@@ -217,7 +216,7 @@ def _loads(curve: Curve, over: Over, *, about_axis: bool) -> Loads:
     rows, place = _place(trace, over, curve.label)
     force = trace.vectors("model_force", "N")[rows]
     torque = trace.vectors("model_torque", "Nm")[rows]
-    turns = Rotation.from_quat(tool_turns(trace)[rows])
+    turns = Rotation.from_quat(trace.quaternions()[rows])
     into_tool = turns.inv()
     across_x, across_y, thrust = into_tool.apply(force).T
     about = into_tool.apply(torque)[:, 2] if about_axis else np.linalg.norm(torque, axis=1)

@@ -1,8 +1,10 @@
 """Run with plots, 3D view and uncertainty bands: `tissue.Run`."""
 
+import warnings
 from collections.abc import Iterable
 from contextlib import suppress
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -11,13 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.errors import InputError
+from meshes.base.extras import install_command
 from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress
 from tissue.objects.html import run_html, run_line
 from tissue.objects.trace import Trace
 from tissue.simulation import run as engine
+from tissue.simulation.bone_surface import HALF
 from tissue.simulation.run_folder import Summary, picture_format, summary_of
-from tissue.system.progress import Bar, reporting
+from tissue.system.offscreen import display_problem
+from tissue.system.progress import Bar, in_notebook, reporting
 
 if TYPE_CHECKING:
     import pandas
@@ -86,9 +91,7 @@ class Run(engine.Run):
         InputError
             If the tissue has neither voxels nor finite elements.
         """
-        from tissue.objects.show import with_empty_hidden
-
-        return with_empty_hidden(super().dataset())
+        return _with_empty_hidden(super().dataset())
 
     def surface(self) -> "pyvista.PolyData":
         """Return the surface of the bone after the run [mm].
@@ -206,8 +209,7 @@ class Run(engine.Run):
         Returns
         -------
         In a notebook, an interactive view. In a script with a display, None, after the
-        window was closed. Otherwise a still picture, which a notebook shows; ``array`` contains its
-        pixels.
+        window was closed. Otherwise a picture of Pillow, which a notebook shows.
 
         Raises
         ------
@@ -215,11 +217,9 @@ class Run(engine.Run):
             If there is nothing to show; if a layer, the field or the time does not exist; if there
             is no display; or if this machine cannot draw in 3D.
         """
-        from tissue.objects.show import show_folder
-
         file = None if screenshot is None else Path(screenshot)
         chosen = {"time_s": time_s, "field": field, "hide": hide, "scale": scale}
-        return show_folder(self._folder(), chosen, interactive=interactive, screenshot=file)
+        return _view_of(self._folder(), chosen, interactive=interactive, screenshot=file)
 
     def band(
         self,
@@ -326,6 +326,99 @@ class Run(engine.Run):
         with suppress(InputError):  # a run that was stopped early may have no trace
             size = np.linalg.norm(self.trace.vectors("model_force", "N"), axis=1)
         return run_html(self.summary, self.events, size)
+
+
+BACKENDS = ("trame_pyvista", "pyvista.trame.jupyter")
+"""Modules of pyvista for interactive views in a notebook, from the extra ``notebook``.
+
+pyvista 0.49 uses the first module, older versions the second one.
+"""
+
+
+def _is_interactive() -> bool:
+    """Return whether the packages for interactive views in a notebook are installed."""
+    for name in BACKENDS:
+        with suppress(ImportError), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the second name is an old one
+            import_module(name)
+            return True
+    return False
+
+
+GHOSTS = "vtkGhostType"
+HIDDEN = 32
+"""Cell array with which VTK hides cells, and the bit of hidden cells in this array.
+
+The bit is ``vtkDataSetAttributes::HIDDENCELL``.
+"""
+
+
+def _with_empty_hidden(data: Any) -> Any:
+    """Hide voxels that are less than half full, so filters and pictures ignore these voxels.
+
+    A mesh is returned unchanged.
+    """
+    if "remaining" in data.cell_data:
+        empty = np.asarray(data.cell_data["remaining"]) < HALF
+        data.cell_data[GHOSTS] = np.where(empty, HIDDEN, 0).astype(np.uint8)
+        data.set_active_scalars("layer", preference="cell")
+    return data
+
+
+def _view_of(
+    folder: Path, chosen: dict[str, Any], *, interactive: bool | None, screenshot: Path | None
+) -> Any:
+    """Show the run of a folder with the chosen time, field, layers and scale.
+
+    See `tissue.objects.run.Run.show`.
+    """
+    from PIL import Image
+
+    from tissue.show.viewer.run_scene import Choice
+    from tissue.show.viewer.view import view
+
+    notebook = in_notebook()
+    if interactive is None:
+        # A window needs a display, and a notebook needs the packages of the interactive view.
+        interactive = screenshot is None and (
+            _is_interactive() if notebook else display_problem() is None
+        )
+    elif interactive and screenshot is not None:
+        raise InputError(
+            "screenshot", "be left out with interactive", screenshot, "leave one of them out"
+        )
+    if interactive and not notebook:
+        view(folder, Choice(**chosen))
+        return None
+    if interactive and not _is_interactive():
+        raise InputError(
+            "trame",
+            "be installed to turn a picture in a notebook",
+            "none",
+            f"run {install_command('notebook')}",
+        )
+    with TemporaryDirectory(prefix="tissue-") as place:
+        file = screenshot or Path(place) / "shown.png"
+        # `view` draws in a separate process, which also checks whether this machine can draw.
+        view(folder, Choice(**chosen), screenshot=file, overwrite=True)
+        with Image.open(file) as picture:
+            still = picture.copy()
+    return _turned(folder, chosen) if interactive else still
+
+
+def _turned(folder: Path, chosen: dict[str, Any]) -> Any:
+    """Return the interactive view for a notebook; this process draws the view."""
+    from tissue.show.viewer.run_scene import Choice
+    from tissue.show.viewer.window import Window
+    from tissue.simulation.run_folder import SavedRun
+
+    saved = SavedRun(folder)
+    window = Window(
+        saved, str(saved.summary.get("scene", "run")), Choice(**chosen), off_screen=True
+    )
+    return window.plotter.show(
+        jupyter_backend="server", jupyter_kwargs={"collapse_menu": True}, return_viewer=True
+    )
 
 
 @suggests_arguments

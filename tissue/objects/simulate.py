@@ -16,7 +16,7 @@ from tissue.simulation import run as runs
 from tissue.simulation import simulate as engine
 from tissue.simulation.builders.parts import opened_device
 from tissue.simulation.live.run import LiveSettings, live
-from tissue.simulation.observer import Observers, OnTick, Paced, Prioritised, TickRow
+from tissue.simulation.observer import OnTick, Paced, Prioritised, TickRow
 from tissue.simulation.simulate import RunObserver, RunSettings
 from tissue.system.progress import Bar, reporting
 
@@ -77,7 +77,7 @@ def simulate(
         tissue, the coupling of a device is unstable, or ``out`` holds another run. If the device
         fails, the error is a `DeviceError`.
     """
-    observer = OnTick(on_tick) if callable(on_tick) else on_tick
+    observers = [OnTick(on_tick) if callable(on_tick) else on_tick] if on_tick else []
     with memory_limit(max_memory_GB), reporting(progress) as report:
         scene, notes = _with_fidelity(scene, report)
         if device is None and (device := opened_device(scene)) is not None:
@@ -87,7 +87,7 @@ def simulate(
         if getattr(played_on, "real_time", False):
             # A real device needs ticks on time. Other runs are as fast as possible.
             prioritised = Prioritised()
-            observer = Observers(prioritised, observer or RunObserver(), Paced())
+            observers = [prioritised, *observers, Paced()]
         run = engine.simulate(
             scene,
             compute=compute,
@@ -97,7 +97,7 @@ def simulate(
             progress=report,
             allow_unstable=allow_unstable,
             device=device,
-            observer=observer,
+            observers=observers,
         )
     if prioritised is not None:
         notes["priority"] = prioritised.note

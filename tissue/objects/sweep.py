@@ -2,7 +2,6 @@
 
 import json
 import re
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -17,7 +16,6 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError, require_range
 from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress
-from meshes.base.text_tables import read_toml
 from tissue.evaluation.assessment import path_note
 from tissue.objects.comparison import PLOTTED, Comparison, shortened, split_formats, write_rows
 from tissue.objects.html import figures_of, intervals_of, table_html
@@ -433,19 +431,16 @@ def _unfinished(
 
 
 def _holds(path: Path, scene: Scene) -> bool:
-    """Return whether a run's folder holds this scene; versions and comments are ignored.
+    """Return whether a run's folder holds this scene.
 
     For a scene that requires a fidelity, the folder holds the scene with the chosen settings.
     """
     from tissue.evaluation.charts.frontier import with_fidelity
 
-    scene, _ = with_fidelity(scene)
     try:
-        kept = read_toml((path / "scene.toml").read_text("utf-8"))
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError):
+        return load_scene(path / "scene.toml") == with_fidelity(scene)[0]
+    except InputError:
         return False
-    entries = {key: value for key, value in kept.items() if key not in ("format", "tissue")}
-    return entries == tomllib.loads(scene.to_toml())
 
 
 def _results(

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import digamma, polygamma
 from scipy.stats import beta, norm, t
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.perception.laws import two_interval
 
@@ -238,7 +238,7 @@ class AdaptiveThreshold:
         marginal = -(right * np.log(right) + (1.0 - right) * np.log1p(-right))
         return np.argmax(marginal - self._entropy @ self.posterior, axis=0)
 
-    def answer(self, asked: NDArray[np.intp], correct: NDArray[np.bool_]) -> None:
+    def answer(self, asked: NDArray[np.intp], correct: Flags) -> None:
         """Update with the answer of each observer, right or wrong, to the comparison asked."""
         likelihood = self._right[asked].T
         self.posterior *= np.where(correct, likelihood, 1.0 - likelihood)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags
 from meshes.base.errors import InputError
 from meshes.base.extras import install_command
 from tissue.perception.laws import D_PRIME_75
@@ -71,7 +71,7 @@ class PopulationTrials:
     who_compared: Index
     base_N: Array
     step_N: Array
-    right: NDArray[np.bool_]
+    right: Flags
     who_rated: Index
     force_N: Array
     number: Array

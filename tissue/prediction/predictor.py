@@ -9,7 +9,6 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import require_positive, require_range
 
 __all__ = [
     "Contact",
@@ -133,8 +132,6 @@ Values from 3 to 30 were compared. In recordings of `wall`, 4 to 8 ms ahead, onl
 a smaller error. In the slower scenes, 10 is better than 8. With a shorter window an encoder step
 looks like a slope.
 """
-LONGEST_WINDOW = 1000
-"""Longest window of a slope [ticks]: 1 s. The slope of a contact is not constant for so long."""
 JERKINESS = 1e-3
 """Variance of the third difference of the force, divided by the variance of the force's noise.
 
@@ -148,9 +145,7 @@ class Linear:
     residual_N = 0.0
     is_primary = trusted = True
 
-    def __init__(self, window: int = WINDOW) -> None:
-        ticks = require_range("window", window, 1, LONGEST_WINDOW, f"use {WINDOW} ticks")
-        self._window = int(ticks)
+    def __init__(self) -> None:
         self._clock = 0
         self._seen: deque[tuple[int, Array]] = deque([(0, np.zeros(3))])
         self._slope = np.zeros(3)
@@ -165,10 +160,10 @@ class Linear:
         self.residual_N = sqrt(missed.dot(missed))
         seen.append((self._clock, force_N.copy()))
         # One force at least as old as the window is kept, so that the line covers the whole window.
-        while len(seen) > 2 and self._clock - seen[1][0] >= self._window:
+        while len(seen) > 2 and self._clock - seen[1][0] >= WINDOW:
             seen.popleft()
         since, first = seen[0]
-        self._slope = (force_N - first) / max(self._clock - since, self._window)
+        self._slope = (force_N - first) / max(self._clock - since, WINDOW)
 
     def predict(self, ticks: float) -> Array:
         """Return the force on the line."""
@@ -211,8 +206,7 @@ class Kalman:
     residual_N = 0.0
     is_primary = trusted = True
 
-    def __init__(self, jerkiness: float = JERKINESS) -> None:
-        self._jerkiness = require_positive("jerkiness", jerkiness, f"use {JERKINESS:g}")
+    def __init__(self) -> None:
         # Force, first and second derivative one tick later, in units of ticks.
         self._onward = np.array([[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
         self._state = np.zeros((3, 3))
@@ -226,7 +220,7 @@ class Kalman:
         if force_N is not None:
             missed = force_N - state[0]
             self.residual_N = sqrt(missed.dot(missed))
-            state += kalman_gains(self._since, self._jerkiness)[:, None] * missed
+            state += kalman_gains(self._since, JERKINESS)[:, None] * missed
             self._since = 0
             self._force = force_N.copy()
 

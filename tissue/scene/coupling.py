@@ -36,7 +36,9 @@ class Hardware(Part):
     button is 0. Default: no button has to be held.
     """
     force_cap_N: float | None = Field(None, gt=0, le=100, examples=[3.0])
-    """Largest force that the device exerts on the hand. Default: the force limit of the device."""
+    """Largest force that a real device exerts on the hand. Default: the force limit of the device.
+    A simulated device has only its own force limit.
+    """
     ramp_ms: float = Field(500.0, ge=0, le=10_000)
     """Time in which the force increases from zero to its full value. This happens after the start,
     after the release of the clutch button, after the force button is pressed, and after a lost

@@ -512,10 +512,7 @@ def parse_overrides(texts: Iterable[str]) -> dict[str, object]:
 
 
 def _place(table: dict[str, object], key: str, value: object) -> None:
-    """Set a dotted key in nested tables; a new kind removes the other keys of its part.
-
-    A new kind of cutter keeps the keys that the new cutter has.
-    """
+    """Set a dotted key in nested tables; a new kind removes keys that it does not have."""
     *parents, last = key.split(".")
     if len(parents) > DEEPEST:
         raise InputError(

@@ -114,7 +114,7 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
         return InputError(str(error))
     if kind == "idle_keys":
         return _idle_error(place.names, context["refused"])
-    if kind == "extra_forbidden":
+    if kind in ("extra_forbidden", "invalid_key"):
         return _unknown_key(place, table, model)
     if place.names == ("device", "kind") and kind == "missing":
         given = [f"{name} = {shown(value)}" for name, value in entries(place.table)]

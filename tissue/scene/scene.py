@@ -77,12 +77,16 @@ class KeepClear(Part):
         (), strict=False, examples=[("canal",)]
     )
     """Names of structures of the anatomy: `canal` of a vertebra or `pulp` of a molar that is
-    procedural or has `anatomy.pulp_file`. The distance is correct
-    within 10 mm of the scripted motion. No safety margin is subtracted.
+    procedural or has `anatomy.pulp_file`. If the tool is more than 10 mm away from the scripted
+    motion, the distance from a procedural structure may be too large.
     """
     files: dict[Name, str] = Field(default_factory=dict, examples=[{"canal": "canal.ply"}])
     """Closed surface of each additional structure, by the name of the structure. The surface is in
     the frame and unit of `anatomy.file`. Without such a file, it is in the site's frame in mm.
+    """
+    margin_mm: float = Field(0.0, ge=0, le=10, examples=[1.0])
+    """Distance that the tool must keep from each structure. An event reports the first time at
+    which the distance is smaller. With 0, only breaches are reported.
     """
 
     def require_valid(self) -> None:
@@ -451,8 +455,8 @@ class Scene(Part):
             yield (
                 "motion.max_feed_mm_s",
                 lasts,
-                "with a device and duration_s",
-                "set motion.thrust_N or duration_s",
+                "with a device and duration_s, because the hand sets the speed",
+                "set no duration_s",
             )
         if self.fidelity is not None:
             where = "with fidelity, which chooses it"

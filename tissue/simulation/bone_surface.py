@@ -426,61 +426,24 @@ class DepthMap:
         -1.
     across
         The two other axes, which belong to the first and second index of the arrays.
-    extent_mm
-        Lowest and highest coordinate along the two axes, (u0, u1, v0, v1) [mm].
     depth_mm
         Depth of bone removed from each column, including undercuts [mm], shape (nu, nv).
-    height_mm
-        Coordinate along `axis` of the outer face of the bone after the run, interpolated within the
-        voxel [mm]. It is NaN where no bone is left.
-    bone
-        Columns that contained bone before the run.
-    exposed
-        For each layer, the columns whose outer face shows this layer after the run and showed
-        another layer before the run.
     """
 
     axis: int
     outward: int
     across: tuple[int, int]
-    extent_mm: tuple[float, float, float, float]
     depth_mm: Array
-    height_mm: Array
-    bone: Flags
-    exposed: dict[str, Flags]
 
 
 def depth_map(run: CarvedRun) -> DepthMap:
-    """Return removed depth, outer face and newly exposed layers of a run."""
-    from scipy.ndimage import binary_opening
-
+    """Return the removed depth of a run."""
     volume = run.volume
-    remaining = run.remaining
     axis, outward = facing(run.trace)
-    across = [a for a in range(3) if a != axis]
-    spacing = volume.spacing_m * 1e3
-    origin = volume.origin_m * 1e3
-    start = origin[axis] if outward > 0 else origin[axis] + spacing * volume.shape[axis]
-    removed = (volume.fraction - remaining).sum(axis=axis, dtype=np.int64)
-    bone, _, before = _face(volume.fraction, volume.layer, axis, outward)
-    left, at, after = _face(remaining, volume.layer, axis, outward)
-    # Single columns at the edge of a hole change their layer when their last voxel is removed. They
-    # do not count as exposed bone.
-    exposed = [
-        (name, binary_opening(left & (after == index) & (before != index), np.ones((3, 3))))
-        for index, name in enumerate(volume.layer_names)
-    ]
-    ends = [(origin[a], origin[a] + spacing * volume.shape[a]) for a in across]
-    return DepthMap(
-        axis=axis,
-        outward=outward,
-        across=(across[0], across[1]),
-        extent_mm=(*ends[0], *ends[1]),
-        depth_mm=removed * (spacing / FULL),
-        height_mm=np.where(left, start + outward * spacing * at, np.nan),
-        bone=bone,
-        exposed={name: mask for name, mask in exposed if mask.any()},
-    )
+    first, second = (each for each in range(3) if each != axis)
+    removed = (volume.fraction - run.remaining).sum(axis=axis, dtype=np.int64)
+    depth_mm = removed * (1e3 * volume.spacing_m / FULL)
+    return DepthMap(axis=axis, outward=outward, across=(first, second), depth_mm=depth_mm)
 
 
 def tool_axes(quaternions: Array) -> Array:
@@ -504,21 +467,3 @@ def facing(trace: Table) -> tuple[int, int]:
     mean = tool_axes(quaternions[rows] if rows.any() else quaternions).mean(axis=0)
     axis = int(np.abs(mean).argmax())
     return axis, 1 if mean[axis] >= 0.0 else -1
-
-
-def _face(fraction: Bytes, layer: Bytes, axis: int, outward: int) -> tuple[Flags, Array, Bytes]:
-    """Return for each column whether it contains bone, and the height and layer of its outer face.
-
-    The height counts voxels from the far end of the column. The face is at the first voxel from
-    outside that is half full, or in the voxel above that voxel. The contents of both voxels
-    determine the height.
-    """
-    seen = np.flip(fraction, axis) if outward > 0 else fraction
-    first = np.argmax(seen >= HALF, axis=axis)
-    at = fraction.shape[axis] - 1 - first if outward > 0 else first
-    index = np.expand_dims(at, axis)
-    above = np.clip(index + outward, 0, fraction.shape[axis] - 1)
-    full = np.take_along_axis(fraction, index, axis).squeeze(axis)
-    partial = np.where(above == index, 0, np.take_along_axis(fraction, above, axis)).squeeze(axis)
-    height = fraction.shape[axis] - 1 - first + (full + partial.astype(np.float64)) / FULL
-    return full >= HALF, height, np.take_along_axis(layer, index, axis).squeeze(axis)

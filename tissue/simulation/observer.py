@@ -1,10 +1,9 @@
-"""Observers that are called in every tick: group of observers, wall clock, and priority.
+"""Observers that are called in every tick: function, wall clock, and priority.
 
 They must not change the result of the run.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
 from time import perf_counter, sleep
 from typing import Any
 
@@ -21,7 +20,6 @@ from tissue.system.priorities import TickPriority
 __all__ = [
     "BEHIND_S",
     "LOOK_TICKS",
-    "Observers",
     "OnTick",
     "Paced",
     "Prioritised",
@@ -57,49 +55,6 @@ SPIN_S = 1.5e-4
 
 A sleep may end up to 0.1 ms late.
 """
-
-
-class Observers(RunObserver):
-    """Group of observers, called in order.
-
-    `on_begin` calls the observers in reverse order, because the first observer of a live run takes
-    over Ctrl-C after all other observers have begun.
-    """
-
-    def __init__(self, *observers: RunObserver) -> None:
-        self._all = observers
-        self.timing_columns = tuple(name for each in observers for name in each.timing_columns)
-        self.paces = any(each.paces for each in observers)
-
-    def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Prepare all observers, starting with the last one."""
-        for each in reversed(self._all):
-            each.on_begin(parts, columns)
-
-    def before_tick(self, index: int) -> None:
-        """Wait for all observers."""
-        for each in self._all:
-            each.before_tick(index)
-
-    def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Pass the tick to all observers; return whether all of them let the run continue."""
-        goes_on = True
-        for each in self._all:
-            goes_on = each.on_tick(index, row, times) and goes_on
-        return goes_on
-
-    def on_event(self, time_s: float, what: str) -> None:
-        """Pass an event to all observers."""
-        for each in self._all:
-            each.on_event(time_s, what)
-
-    def on_end(self) -> Events:
-        """End all observers, even if one of them fails."""
-        events: Events = []
-        with ExitStack() as ends:
-            for each in reversed(self._all):
-                ends.callback(lambda each: events.extend(each.on_end()), each)
-        return events
 
 
 class TickRow(Mapping[str, Any]):

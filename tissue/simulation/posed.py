@@ -166,20 +166,13 @@ def scene_arguments(scene: Scene) -> tuple[object, ...]:
     The motion chooses the tissue that is prepared. The output and the times of frames have no
     effect on the forces.
     """
-    tables = [dict(part) for part in (scene.anatomy, scene.organ)]
-    for table in tables:
-        table.pop("interval_ms", None)
-    given = {name: constant.value for name, constant in scene.constants.given.items()}
-    return (
-        *tables,
-        scene.voxels,
-        scene.tool,
-        scene.motion,
-        scene.cutting,
-        scene.keep_clear,
-        scene.seed,
-        given,
+    frames = {"interval_ms"}
+    table = scene.model_dump_json(
+        include={"voxels", "tool", "motion", "cutting", "keep_clear", "seed"}
     )
+    shapes = [part.model_dump_json(exclude=frames) for part in (scene.anatomy, scene.organ)]
+    given = {name: constant.value for name, constant in scene.constants.given.items()}
+    return (table, *shapes, given)
 
 
 class PosedSession:

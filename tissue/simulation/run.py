@@ -23,7 +23,7 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.builders.parts import Parts
-from tissue.simulation.findings import BreakThrough
+from tissue.simulation.findings import BreakThrough, largest_rise
 from tissue.simulation.run_folder import (
     FORMAT,
     RunFolder,
@@ -207,13 +207,11 @@ class Run:
         from tissue.simulation.builders.cutting import cutter_of
 
         tool = self.scene.tool
-        made = cutter_of(tool) if self._saved is not None and isinstance(tool, Tool) else None
-        found = self.parts.cutter if self._saved is None else made
-        if found is None:
+        if not isinstance(tool, Tool):
             raise InputError(
                 "run", "have a cutter", f"a {tool.kind}", "use the trace and the fields of this run"
             )
-        return found
+        return cutter_of(tool)
 
     def replay(self) -> "CarvingReplay":
         """Return a replay of the carving, which gives the bone at any tick.
@@ -272,6 +270,8 @@ class Run:
             found["path_distance_mm"] = self.path_distance_mm
         if isinstance(tissue, HasHeat) and (heat_J := tissue.heat_balance_J) is not None:
             found["heat_J"] = heat_J
+        if rise := largest_rise(trace):
+            found["largest_rise"] = rise
         if (limit := self.parts.motion.feed_limit) is not None:
             found["feed_limit"] = asdict(limit)
         if self.break_throughs:

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -14,12 +13,12 @@ from meshes.base.errors import InputError, counted, is_file
 from meshes.base.file_limits import require_regular
 from meshes.base.hints import closest, did_you_mean
 from meshes.base.placement import Placement
-from meshes.base.text_tables import read_json, read_toml
+from meshes.base.text_tables import read_json
 from meshes.base.whole_file import package_version, require_version, whole_file, write_text
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.anatomy import BlockImage, Tooth
-from tissue.scene.load import OldSceneWarning, converted, load_scene, saved_text
-from tissue.scene.registry import ANATOMIES
+from tissue.scene.load import full_key, load_scene, saved_text
+from tissue.scene.registry import ANATOMIES, TABLES
 from tissue.scene.scene import Scene
 from tissue.simulation.trace import FORMATS, Table, TraceWriter, read_trace
 from tissue.system.owned_folder import (
@@ -53,19 +52,6 @@ Summary = dict[str, Any]
 """Contents of ``summary.json``; see docs/files.md."""
 FORMAT = 1
 """Version of the format of run folders."""
-PARTS = {
-    "anatomy.kind": "tissue",
-    "cutting.material": "material",
-    "device.hand": "hand",
-    "device.kind": "device",
-    "device.perception": "perception",
-    "device.prediction": "predictor",
-    "device.renderer": "renderer",
-    "motion.kind": "motion",
-    "organ.material": "material",
-    "tool.kind": "tool",
-}
-"""Nouns for registered parts in messages, keyed by the key of a scene that names such a part."""
 AGAIN = "run the scene again"
 PICTURE_FORMATS = ("png", "svg", "pdf")
 FILES = (
@@ -354,18 +340,12 @@ def _saved_scene(file: Path) -> Scene:
     try:
         return load_scene(file)
     except InputError as error:
-        word = PARTS.get(error.argument)
-        if word is None or not error.requirement.startswith("be one of"):
+        keys = {full_key(part.key, "name") for parts in TABLES.values() for part in parts}
+        if error.argument not in keys or not error.requirement.startswith("be one of"):
             raise
-        with warnings.catch_warnings():
-            # `load_scene` has already given this warning.
-            warnings.simplefilter("ignore", OldSceneWarning)
-            tables, _ = converted(read_toml(file.read_text("utf-8")), file)
-        part, key = error.argument.split(".")
-        name = tables[part][key]
         raise InputError(
-            f"the run in {file.parent} was made with the {word} {name}, which is not registered "
-            "here. Register it in the same script, or install the package that provides it"
+            f"{error.argument} = {error.value} of the run in {file.parent} is not registered here. "
+            "Register it in the same script, or install the package that provides it"
         ) from error
 
 

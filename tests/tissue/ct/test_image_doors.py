@@ -76,7 +76,7 @@ def planes(folder):
 
 
 def test_planes_take_their_spacing_at_every_door(tmp_path, command, monkeypatch):
-    monkeypatch.setattr("tissue.ct.bone._pictures", lambda *_: {})
+    monkeypatch.setattr("tissue.ct.bone._BoneImport._pictures", lambda *_: {})
     values = planes(tmp_path / "png")
     millilitres = 1e-3 * 0.25 * (values > 100).sum()
     bone = tissue.Bone.from_image(tmp_path / "png", threshold=100, spacing_mm=(0.5, 0.5, 1.0))

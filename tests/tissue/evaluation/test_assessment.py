@@ -11,7 +11,7 @@ from tissue.evaluation import assessment_files, ranking
 from tissue.evaluation.assessment import NoSharedContactError, assess
 from tissue.evaluation.assessment_files import assessed_section, assessment_lines
 from tissue.evaluation.ranking import rank, ranking_lines, write_ranking
-from tissue.evaluation.statistics.metrics import aligned_rows, deviation_mm
+from tissue.evaluation.statistics.metrics import aligned_rows, deviation_mm, followed_ticks
 from tissue.scene.load import load_scene
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.trace import Table, TraceLayout, TraceWriter
@@ -104,6 +104,20 @@ def test_a_run_that_ends_early_deviates_nowhere(tmp_path):
     assert deviation_mm(
         whole, whole[:400], aligned_rows(whole, whole[:400])
     ).max() == pytest.approx(np.linalg.norm(whole[-1] - whole[399]), rel=0.01)
+
+
+def test_ticks_after_the_end_of_the_alignment_are_as_far_as_the_rest_of_the_path():
+    """The trainee rests above the reference, so that the alignment ends before its deepest point."""
+    depth = np.concatenate([np.linspace(0, 20.9, 400), np.linspace(20.9, 20.7, 20), [20.7] * 80])
+    deeper = np.concatenate([np.linspace(0, 21.5, 400), np.linspace(21.5, 20.1, 50), [20.1] * 450])
+    path = np.column_stack([np.full(900, 0.5), np.zeros(900), -deeper])
+    model = np.column_stack([np.zeros((500, 2)), -depth])
+    rows = aligned_rows(path, model)
+    assert depth[rows].max() < 20.5
+    assert deviation_mm(path, model, rows).max() == pytest.approx(np.hypot(0.5, 0.6), abs=1e-6)
+    followed = followed_ticks(model, rows)
+    assert followed[:370].all() and not followed[450:].any()
+    assert followed_ticks(path, aligned_rows(path, path)).all()
 
 
 def test_alignment_never_goes_back_and_keeps_crossings_apart():

@@ -141,9 +141,10 @@ def test_the_command_ranks_a_folder_of_trainees(runs, command, refused, here):
     code, text = command("assess", runs, "--against", reference, "--out", "ranked")[:2]
     assert code == 0 and "1. expert: " in text and "3. novice: " in text
     assert (here / "ranked" / "ranking.png").stat().st_size > 10_000
-    assert "force-limit-N must be left out for a folder of trainees" in refused(
-        "assess", runs, "--against", reference, "--force-limit-N", 3
-    )
+    limits = ("--force-limit-N", 1e-3, "--deviation-limit-mm", 99, "--overshoot-limit-mm", 99)
+    assert command("assess", runs, "--against", reference, "--out", "strict", *limits)[0] == 0
+    counts = [row.rsplit(",", 1)[1] for row in (here / "strict/ranking.csv").read_text().split()]
+    assert set(counts[1:]) == {"1"}
     (here / "people" / "nobody").mkdir(parents=True)
     assert "folder must hold at least one run for each trainee" in refused(
         "assess", "people", "--against", reference

@@ -16,7 +16,7 @@ from tissue.evaluation.study.folder import run_study
 from tissue.evaluation.study.plan import METHODS, TASKS, USERS, Plan, TrialKey
 from tissue.evaluation.study.trial import Trial, run_trial, trial_seed
 
-SMALL = Plan(trials=3, tasks=("T2", "needle"), sensitivity=False)
+SMALL = Plan(trials=3, tasks=("T2", "needle"))
 
 
 def cheap(plan, key):
@@ -71,10 +71,10 @@ def table(out):
 def test_a_plan_counts_its_trials():
     """A plan counts its trials.
 
-    3 tasks x 3 groups x 100 are the paper's 900; case studies and variants are added to them.
+    3 tasks x 3 groups x 100 are the paper's 900; case studies are added to them.
     """
     keys = list(Plan().all_trials())
-    assert sum(not TASKS[key.task].case and not key.variant for key in keys) == 900
+    assert sum(not TASKS[key.task].case for key in keys) == 900
     assert sum(key.task == "reaming" for key in keys) == 60
     assert len({key.name for key in keys}) == len(keys)
     assert all(TrialKey.named(key.name) == key for key in keys)
@@ -100,9 +100,8 @@ def test_seeds_belong_to_trials_and_to_nothing_else():
     few, many = Plan(trials=2, tasks=("T2",), methods=("penalty",)), Plan(trials=50)
     key = TrialKey("T2", "expert", 1)
     assert trial_seed(few, key) == trial_seed(many, key) != trial_seed(Plan(seed=1), key)
-    base = [key for key in many.all_trials() if not key.variant]
-    assert len({trial_seed(many, key) for key in base}) == len(base)
-    assert trial_seed(many, replace(key, variant="pace-fast")) == trial_seed(many, key)
+    keys = list(many.all_trials())
+    assert len({trial_seed(many, key) for key in keys}) == len(keys)
     people = [
         many.person(TrialKey(task, "novice", trial)).random() for task in TASKS for trial in (3, 13)
     ]

@@ -28,7 +28,6 @@ PLAN = Plan(
     trials=4,
     tasks=("T1", "T2"),
     methods=("penalty", "koopman", "koopman-perception"),
-    sensitivity=False,
 )
 
 

@@ -13,8 +13,6 @@ from tissue.evaluation.statistics.intervals import mean_interval, signed_interva
 from tissue.evaluation.study.cases import case_sections
 from tissue.evaluation.study.fidelity import (
     force_section,
-    reference_section,
-    sensitivity_section,
     task_section,
 )
 from tissue.evaluation.study.folder import StudyFolder
@@ -52,17 +50,9 @@ def planted(key, rng):
         "torque_scatter_Nm": 0.01,
     }
     error = 0.08 * np.exp(0.1 * rng.standard_normal())
-    if key.variant == "reference":
-        return [{"method": "penalty", "reference_error": 0.02}]
-    doubled = 2.0 if key.variant == "pace-fast" else 1.0
     rows = []
     for method, left in LEFT.items():
-        made = (
-            left
-            * (doubled if left < 1.0 else 1.0)
-            * error
-            * (1.0 if left == 1.0 else np.exp(0.05 * rng.normal()))
-        )
+        made = left * error * (1.0 if left == 1.0 else np.exp(0.05 * rng.normal()))
         latency = 4.3 * left + 0.01 * rng.random() * (left < 1.0)
         felt = {
             "force_error": made,
@@ -94,7 +84,7 @@ def test_the_report_finds_what_was_planted(study):
     study.write_tables()
     page, message = write_report(study.path)
     text = page.read_text("utf-8")
-    assert text.count("<section") >= 13 and text.count("data:image/png;base64,") == 8
+    assert text.count("<section") >= 11 and text.count("data:image/png;base64,") == 4
     # each has one, and no pictures come of that
     assert "People have too few trials on two specimens each." in text
     assert "http" not in text.replace("http-equiv", "") and "<script" not in text
@@ -102,7 +92,7 @@ def test_the_report_finds_what_was_planted(study):
         "1 failed, koopman: InputError: it was too late (T1-expert-0003)" in each
         for each in message
     )
-    # five sentences and three pictures begin the report
+    # five sentences begin the report
     registered, force, travel, _, papers = message[:5]
     assert registered.startswith("plan.toml was registered before the first trial")
     assert force.startswith("Force error with prediction over that of the penalty law: T1 0.4")
@@ -110,7 +100,7 @@ def test_the_report_finds_what_was_planted(study):
     assert f"travel after the puncture is {range_text}" in travel
     assert papers.startswith("Of ")
     first = text[text.index('<section id="found"') : text.index('<section id="overview"')]
-    assert first.count('class="verdict"') == 5 and first.count("<img") == 3
+    assert first.count('class="verdict"') == 5
     assert "koopman lets 100 % notice, travel 0.50 mm" in text
     assert "±" not in text
     assert text.index('<section id="found"') < text.index('<section id="overview"')
@@ -127,14 +117,6 @@ def test_the_report_finds_what_was_planted(study):
     # three standard errors of 2,000 populations about 5 %, and one point for the smoothed residuals
     assert 2.5 < float(rates["T2", "method", "sign flips"]["type I %"]) < 7.5
     assert ("T1", "group, 3 metrics", "sign flips") in rates
-    sources = {
-        (row["of"], row["parameter"]): row["source"]
-        for row in rows_of(page.parent / "parameters.csv")
-    }
-    assert (
-        "chai3d" in sources["devices, touch", "force_limit_N"]
-        and ("method koopman", "prediction") in sources
-    )
     means = [row for row in rows_of(page.parent / "index.csv") if row["what"] == "mean"]
     assert max(means, key=lambda row: float(row["value"]))["name"].startswith("koopman")
 
@@ -142,19 +124,6 @@ def test_the_report_finds_what_was_planted(study):
 def rows_of(path: Path):
     with path.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
-
-
-@pytest.mark.slow
-def test_the_sensitivity_names_what_moves_the_headline(study):
-    section = sensitivity_section(study)
-    assert "It moves most with pace (1.4 of the usual: +" in section.sentences[0]
-    moved = {row[1]: row[-1] for row in section.rows}
-    assert 60 < float(moved["1.4 of the usual"].split()[0]) < 140
-    assert abs(float(moved["2 ms instead of 4"].split()[0])) < 20
-    assert reference_section(study).rows == (
-        ("T1", "2.00 (SD 0.00)", "2"),
-        ("T2", "2.00 (SD 0.00)", "2"),
-    )
 
 
 def compared(section):
@@ -208,7 +177,7 @@ def test_intervals_of_positive_metrics_hold_the_mean_at_their_rate():
 def test_errors_of_predictors_have_positive_intervals():
     """A chart with a logarithmic axis cannot show an interval that ends below zero."""
     errors = np.outer([0.01, 0.02, 0.03, 0.90], np.ones(len(HORIZONS)))
-    found = PredictorComparison("wall", {"hold": errors}, {}, {})
+    found = PredictorComparison("wall", {"hold": errors}, {})
     mean, low, high = found.at("hold", 4)
     assert mean == pytest.approx(0.24) and 0.0 < low < mean < high
 
@@ -223,7 +192,7 @@ def test_a_study_that_has_hardly_begun_is_reported(tmp_path):
     overview = " ".join(sections["overview"].sentences)
     assert "No trial yet of intermediate, expert: the figures are of the other groups." in overview
     assert "could not be tested" in " ".join(sections["tests"].sentences)
-    assert "force" in sections and "sensitivity" not in sections and "case-needle" not in sections
+    assert "force" in sections and "case-needle" not in sections
 
 
 def test_distances_from_a_path():

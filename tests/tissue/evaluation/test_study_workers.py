@@ -25,7 +25,6 @@ PLAN = Plan(
     tasks=("T2",),
     groups=("novice",),
     methods=("penalty",),
-    sensitivity=False,
 )
 """Three trials, on two workers."""
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}

@@ -157,6 +157,6 @@ def test_a_chart_of_predictors(command, here):
     code, output, _ = command("chart", "prediction", "wall", "--trials", "2", "--out", "chart")
     assert code == 0 and "koopman" in output
     names = {path.name for path in (here / "chart").iterdir()}
-    assert {"prediction_wall.png", "prediction_tasks.png", "errors.csv", "slow_model.csv"} <= names
+    assert {"prediction_wall.png", "prediction_tasks.png", "errors.csv", "cost.csv"} <= names
     rows = (here / "chart" / "errors.csv").read_text().splitlines()
     assert len(rows) == 1 + len(PREDICTORS) * 7

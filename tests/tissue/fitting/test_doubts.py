@@ -64,9 +64,7 @@ def test_constants_a_thousand_times_too_small_are_doubtful(tmp_path):
         assert found[name].state == "doubtful" and found[name].value < found[name].prior.low / 5.0
     write_fit(fit, tmp_path / "fit", overwrite=False)
     stated = [
-        each
-        for each in fit.verdicts
-        if each.startswith("doubtful: ") and "tangential_chip" in each
+        each for each in fit.verdicts if each.startswith("doubtful: ") and "tangential_chip" in each
     ]
     assert len(stated) == 1 and "below its range of 50 to 300" in stated[0]
     numbers = json.loads((tmp_path / "fit" / "fit.json").read_text("utf-8"))

@@ -9,12 +9,17 @@ import pytest
 from scipy.io.matlab import MatlabOpaque
 
 from meshes.base.errors import InputError
-from tissue.fitting.log import read_log
-from tissue.fitting.log_files import mat_columns, parquet_columns
+from tissue.fitting.log import log_of
+from tissue.fitting.log_files import mat_columns, parquet_columns, read_columns
 from tissue.simulation.trace import Table, write_table
 
 TIMES_S = np.arange(0.0, 1.0, 0.01)
 NAMES = ("time_s", "tool_x_mm", "tool_y_mm", "tool_z_mm", "force_x_N", "force_y_N", "force_z_N")
+
+
+def read_log(path, columns=()):
+    """Return the log in a file."""
+    return log_of(path, read_columns(path), columns)
 
 
 @pytest.fixture

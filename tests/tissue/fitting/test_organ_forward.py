@@ -57,10 +57,11 @@ def forward(moduli):
     of_friction = 3.0 - 2.0 * FRICTION + 0.4 * late
     of_time = late + 0.4 * FRICTION
     slopes = [of_first, base**2, FIRST * base * of_friction, FIRST * base * of_time]
-    curved = [0.0 * base, 0.0 * base, -FIRST * base, 0.5 * FIRST * base]
-    mixed = np.zeros((*base.shape, 4, 4))
-    mixed[..., 2, 3] = mixed[..., 3, 2] = 0.2 * FIRST * base
-    runs = (at, closed(at), np.stack(slopes, -1), np.stack(curved, -1), mixed)
+    curved = np.zeros((*base.shape, 4, 4))
+    curved[..., 2, 2] = -FIRST * base
+    curved[..., 3, 3] = 0.5 * FIRST * base
+    curved[..., 2, 3] = curved[..., 3, 2] = 0.2 * FIRST * base
+    runs = (at, closed(at), np.stack(slopes, -1), curved)
     return OrganForward(parameters, ("force_x_N", "force_z_N"), np.arange(3.0), moduli, *runs)
 
 

@@ -13,11 +13,16 @@ from tissue.fitting.probe_fit import (
     common_pattern,
     fit_curves,
     fit_probes,
-    half_differences,
     median_curve,
 )
 from tissue.fitting.probe_laws import layer_scene, probe_curves
-from tissue.fitting.probe_table import FEWEST_PROBES, ProbeTable, is_probe_table, read_probes
+from tissue.fitting.probe_table import (
+    FEWEST_PROBES,
+    ProbeTable,
+    at_common_depths,
+    is_probe_table,
+    read_presses,
+)
 from tissue.scene.load import load_scene
 
 COARSE = 0.25
@@ -35,6 +40,11 @@ FLAT = {
     "organ.young_kPa": None,
     "organ.young_end_kPa": None,
 }
+
+
+def read_probes(path, found, columns=()):
+    """Return presses at common depths."""
+    return at_common_depths(path, *read_presses(path, found, columns))
 
 
 def slab(**organ):
@@ -153,8 +163,7 @@ def fit_of(forces_N, fitted_N, bias_N):
     table = ProbeTable(Path("presses.csv"), DEPTHS_M, forces_N)
     middle = median_curve(forces_N)
     misfit = float(np.linalg.norm(fitted_N - middle) / np.linalg.norm(middle))
-    noise = np.array([0.0, 0.1, 0.2])
-    return ProbeFit("slab", table.path, table, "linear", (), fitted_N, bias_N, misfit, noise, ())
+    return ProbeFit("slab", table.path, table, "linear", (), fitted_N, bias_N, misfit, ())
 
 
 def test_a_zero_above_the_smallest_force_is_a_doubt():
@@ -232,14 +241,7 @@ def fit_probes_fast(scene, table):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(probe_fit, "probe_curves", kept)
-        patch.setattr(probe_fit, "half_differences", lambda forces: np.zeros(1))
         return fit_probes(scene, table).constants[0]
-
-
-def test_differences_of_halves_vanish_for_equal_presses():
-    same = np.tile(np.linspace(0.0, 1.0, 6), (8, 1))
-    assert half_differences(same, splits=5) == pytest.approx(np.zeros(5))
-    assert median_curve(same) == pytest.approx(same[0])
 
 
 @pytest.mark.slow

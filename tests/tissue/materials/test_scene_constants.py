@@ -8,7 +8,7 @@ from tissue.materials.constants import constants
 from tissue.materials.scene_constants import Materials, energy_note
 from tissue.scene.load import load_scene, saved_text
 from tissue.scene.used_constants import used_constants
-from tissue.simulation.builders.arguments import note_own_constants
+from tissue.simulation.builders.arguments import given_note
 
 RADIAL = "cutting.bone.radial_chip_N_mm2"
 
@@ -139,7 +139,8 @@ def test_the_scene_of_a_saved_run_is_loaded_without_its_file_of_constants(tmp_pa
 def test_a_file_without_effect_is_refused(texts, changes, words, tmp_path):
     scene = load_scene("glenoid", changes | {"materials": str(written(tmp_path, *texts))})
     with pytest.raises(InputError, match=words):
-        note_own_constants(scene, ("subchondral", "trabecular"), {})
+        layers = ("subchondral", "trabecular")
+        given_note(scene.constants, used_constants(scene, layers), layers=layers, by="scene")
 
 
 def test_the_note_on_the_cutting_energy_follows_the_exponents_of_the_scene():

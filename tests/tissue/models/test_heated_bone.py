@@ -8,7 +8,10 @@ from tissue.fitting.bands.sample_loads import figures_of
 from tissue.models.bone.model import BoneModel
 from tissue.models.heat.bone import BODY_C, HeatedBone, dose_rate
 from tissue.scene.used_constants import used_constants
+from tissue.show.report.page import run_rows
+from tissue.simulation.findings import largest_rise
 from tissue.simulation.simulate import simulate
+from tissue.simulation.trace import Table
 
 CHANGES = {
     "anatomy.size_mm": [8.0, 8.0, 4.0],
@@ -48,6 +51,35 @@ def test_summary_holds_the_balance_and_the_figures_of_the_remaining_bone(runs):
     assert figures_of(runs[1])["bone_heat", "largest_rise_K"] == figures["largest_rise_K"]
     peak = runs[1].parts.tissue.peak_K
     assert figures["largest_rise_K"] <= peak.max()
+
+
+def test_summary_and_table_hold_the_largest_rise_and_its_time(runs):
+    plain, warmed = runs
+    assert "largest_rise" not in plain.summary
+    column = warmed.trace["bone_rise_K"]
+    time_s = warmed.trace["time_s"][column.argmax()]
+    is_rising = bool(time_s > warmed.trace["time_s"][-1] - 0.1)
+    assert warmed.summary["largest_rise"] == {
+        "tissue": "bone",
+        "rise_K": column.max(),
+        "time_s": time_s,
+        "rising_at_end": is_rising,
+    }
+    row = dict(run_rows(warmed.summary))["largest temperature rise of the bone"]
+    assert row.startswith(f"{column.max():.2f} K at {time_s:.3g} s")
+
+
+@pytest.mark.parametrize(
+    ("rises_K", "rising"),
+    [(np.linspace(0.0, 3.2, 500), True), (np.r_[:250, 250:0:-1], False), (np.zeros(500), False)],
+)
+def test_a_rise_at_the_end_is_marked(runs, rises_K, rising):
+    names = ("time_s", "pulp_rise_K")
+    table = Table(names, np.column_stack([1e-3 * np.arange(500), rises_K]), ())
+    found = largest_rise(table)
+    assert (found["tissue"], found["rising_at_end"]) == ("pulp", rising)
+    row = dict(run_rows(runs[0].summary | {"largest_rise": found}))
+    assert row["largest temperature rise of the pulp"].endswith("at the end") == rising
 
 
 def test_bone_uses_the_thermal_constants_of_bone():

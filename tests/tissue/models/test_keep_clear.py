@@ -11,6 +11,7 @@ import tissue
 from meshes.base.errors import InputError
 from tissue.scene.load import parse_overrides
 from tissue.show.report.page import run_rows
+from tissue.simulation.builders import cutting, force_met
 
 RADIUS_MM = 3.0
 DEPTH_MM = 6.0
@@ -97,9 +98,35 @@ def test_a_breach_is_an_event_with_its_depth(run):
     assert 0.0 <= depth + exact_mm(run).min() < 0.01
 
 
+def test_an_event_and_a_row_state_the_first_time_within_the_margin(tmp_path, run):
+    closer = tissue.simulate(scene_in(tmp_path, overrides={"keep_clear.margin_mm": 0.5}))
+    np.testing.assert_array_equal(closer.trace.rows, run.trace.rows)
+    first, *others = closer.summary["events"]
+    time_s = run.trace["time_s"][np.argmax(run.trace["distance_canal_mm"] < 0.5)]
+    assert first == {"time_s": time_s, "what": "came closer than 0.5 mm to canal"}
+    assert others == run.summary["events"]
+    found = closer.summary["keep_clear"]["canal"]
+    assert (found["margin_mm"], found["first_below_margin_s"]) == (0.5, pytest.approx(time_s))
+    row = dict(run_rows(closer.summary))["smallest distance to canal"]
+    assert row.endswith(f" mm, closer than the margin of 0.5 mm from {time_s:.3f} s")
+    assert "margin_mm" not in run.summary["keep_clear"]["canal"]
+
+
+def test_a_tool_that_stays_away_keeps_the_margin(tmp_path):
+    changes = {"keep_clear.margin_mm": 0.5, "motion.points_mm": [[0, 0, 1], [0, 0, -1]]}
+    summary = tissue.simulate(scene_in(tmp_path, overrides=changes)).summary
+    assert summary["events"] == []
+    assert summary["keep_clear"]["canal"]["first_below_margin_s"] is None
+    row = dict(run_rows(summary))["smallest distance to canal"]
+    assert row.endswith(" mm, margin of 0.5 mm kept")
+
+
 @pytest.mark.parametrize("text", ["[Pulp]", "Pulp", '["Pulp"]', "pulp,canal"])
-def test_a_name_that_the_anatomy_does_not_have_is_refused_with_its_names(text):
-    texts = ["stress=none", "voxels.spacing_mm=0.2", f"keep_clear.names={text}"]
+@pytest.mark.parametrize("device", ["none", "touch"])
+def test_a_name_that_the_anatomy_does_not_have_is_refused_before_voxels(monkeypatch, text, device):
+    for module in (cutting, force_met):
+        monkeypatch.setattr(module, "volume_of", pytest.fail)
+    texts = ["stress=none", f"device={device}", f"keep_clear.names={text}"]
     scene = tissue.load_scene("molar", parse_overrides(texts))
     words = r"keep_clear.names must be structures of the anatomy \(pulp\), got .*\. Use pulp, or"
     with pytest.raises(InputError, match=words):

@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from meshes.base.errors import InputError
-from tissue.fitting.log import read_log
+from tissue.fitting.log import log_of
+from tissue.fitting.log_files import read_columns
 from tissue.motion.drilling_recording import read_drilling
 from tissue.motion.replay import read_replay
 
@@ -22,6 +23,11 @@ CAMERA = Rotation.from_rotvec([0.0, 0.0, 0.5 * np.pi])
 """A camera whose x axis is the world's y axis."""
 RATE_S = 5e-4
 TIMES_S = RATE_S * np.arange(2001)
+
+
+def read_log(path, columns=()):
+    """Return the log in a file."""
+    return log_of(path, read_columns(path), columns)
 
 
 def recorded(

@@ -155,6 +155,10 @@ def test_the_legend_names_the_folders_of_saved_runs(other, tmp_path):
     found = tissue.compare(*two)
     found.scene_differences = {"seed": (404, 610), "device.hand": ("novice", "expert")}
     assert legend(found.plot()) == ["p04: seed 404, hand novice", "p10: seed 610, hand expert"]
+    for name in ("p04", "p10"):
+        shutil.copytree(other.path, tmp_path / "class" / name / "attempt-1")
+    attempts = [tmp_path / "class" / name / "attempt-1" for name in ("p04", "p10")]
+    assert list(tissue.compare(*attempts).runs) == ["p04", "p10"]
 
 
 def test_keys_are_stated_in_words():

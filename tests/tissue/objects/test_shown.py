@@ -60,12 +60,9 @@ def test_the_dataset_shows_bone_and_no_box(run):
 def test_show_draws_a_fresh_run_and_one_read_back(run, back, wall, tmp_path, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     still, other = run.show(0.2), back.show(0.2)
-    assert np.array_equal(still.array, other.array) and still.array.std() > 10.0
-    assert (
-        still._repr_png_()[0].startswith(b"\x89PNG")
-        and repr(still) == "<picture of 1400 x 950 pixels>"
-    )
-    assert wall.show(screenshot=tmp_path / "wall.png").save(tmp_path / "again.png").is_file()
-    assert (tmp_path / "wall.png").read_bytes() == (tmp_path / "again.png").read_bytes()
+    assert np.array_equal(still, other) and np.std(still) > 10.0
+    assert still._repr_png_().startswith(b"\x89PNG") and still.size == (1400, 950)
+    assert wall.show(screenshot=tmp_path / "wall.png").size == (1400, 950)
+    assert (tmp_path / "wall.png").is_file()
     with pytest.raises(InputError, match="display"):
         run.show(interactive=True)

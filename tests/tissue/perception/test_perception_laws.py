@@ -6,7 +6,7 @@ import pytest
 from tissue import InputError
 from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.observer import Observer, reference_observer, write_observer
-from tissue.simulation.builders.prediction import perception, perception_for
+from tissue.simulation.builders.prediction import perception
 
 LIMIT_N, TICK = 3.3, 1e-3
 OBSERVERS = {
@@ -141,10 +141,10 @@ def test_observers_who_cannot_be_inverted_are_refused():
         spread={"beta": 1.5},
     )
     with pytest.raises(InputError, match=r"beta must be known well enough to be inverted, got 0.5"):
-        perception_for(unsure, rng=np.random.default_rng(0), force_limit_N=LIMIT_N, tick_s=TICK)
+        perception(unsure, rng=np.random.default_rng(0), force_limit_N=LIMIT_N, tick_s=TICK)
     with pytest.raises(
         InputError, match=r"force_limit_N must be positive|limit_N must be positive"
     ):
-        perception_for(
+        perception(
             reference_observer(), rng=np.random.default_rng(0), force_limit_N=-1.0, tick_s=TICK
         )

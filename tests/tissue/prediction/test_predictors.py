@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from meshes.base.errors import InputError
 from tissue.evaluation.recorded_runs import IDEAL_SHARE, Recording
 from tissue.evaluation.training import fit, forecast_errors, with_fallback
 from tissue.prediction.delays import DELAYS, HORIZON, PATH_DELAYS, DelayPath
@@ -125,13 +124,6 @@ def test_a_parabola_goes_on_in_the_filter_alone():
     predicted = feed(Kalman(), 1e-6 * times**2).predict(8)[2]
     assert predicted == pytest.approx(1e-6 * 407.0**2, abs=1e-9)
     assert abs(feed(Linear(), 1e-6 * times**2).predict(8)[2] - predicted) > 1e-5
-
-
-@pytest.mark.parametrize("window", [0, 0.5, -3, np.nan])
-def test_a_line_needs_a_window_of_one_tick(window):
-    with pytest.raises(InputError, match="window must be in"):
-        Linear(window)
-    assert feed(Linear(1), 2e-3 * np.arange(400)).predict(8)[2] == pytest.approx(2e-3 * 407)
 
 
 def test_kalman_gains_are_those_that_the_recursion_settles_to():

@@ -1,11 +1,17 @@
 """Distance of a tool in a simulated hand from the path of its scene."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import tissue
 from meshes.paths.toolpath import path_distance
 from tissue.show.report.page import run_rows
+from tissue.simulation import findings
+from tissue.simulation.builders.cutting import cutter_of
+from tissue.simulation.findings import path_note
 
 
 def test_the_summary_has_the_largest_distance_from_the_path():
@@ -25,3 +31,24 @@ def test_the_summary_has_the_largest_distance_from_the_path():
 def test_a_scripted_tool_has_no_distance_from_its_path():
     scene = tissue.load_scene("milling", {"duration_s": 0.02, "voxels.spacing_mm": 0.5})
     assert "path_distance_mm" not in tissue.simulate(scene).summary
+
+
+def test_a_hand_far_from_its_path_gets_a_note_with_a_smaller_force_scale():
+    scene = tissue.load_scene("molar", {"device": "touch", "coupling.force_scale": 0.99})
+    parts = SimpleNamespace(cutter=cutter_of(scene.tool))
+    near_mm = {"largest_in_contact": 0.9, "largest": 5.0}  # the bur has a diameter of 1 mm
+    assert path_note(scene, parts, near_mm) == {}
+    (note,) = path_note(scene, parts, {"largest_in_contact": 6.95, "largest": 23.4}).values()
+    # 0.99 x 0.5 mm / 23.4 mm = 0.0212
+    assert "left the path by 23.4 mm" in note
+    assert "Set coupling.force_scale = 0.02 instead of 0.99" in note
+    still = SimpleNamespace(cutter=replace(parts.cutter, spin_rad_s=0.0))
+    assert path_note(scene, still, {"largest_in_contact": 6.95, "largest": 23.4}) == {}
+    assert path_note(scene, parts, None) == {}
+
+
+def test_the_notes_of_a_run_contain_the_note_on_its_path(monkeypatch):
+    monkeypatch.setattr(findings, "FAR_RADII", -1.0)
+    changes = {"device": "touch", "duration_s": 0.02, "voxels.spacing_mm": 0.5}
+    notes = tissue.simulate(tissue.load_scene("milling", changes)).summary["notes"]
+    assert "coupling.force_scale = " in notes["distance from the path"]

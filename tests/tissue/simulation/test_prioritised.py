@@ -2,10 +2,11 @@
 
 import threading
 
-from tissue import load_scene, simulate
+from tissue import load_scene
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.simulation.live.run import LiveObserver
-from tissue.simulation.observer import Observers, Prioritised
+from tissue.simulation.observer import Prioritised
+from tissue.simulation.simulate import simulate
 
 HALF = {"duration_s": 0.5}
 
@@ -27,8 +28,8 @@ class FakePriority:
 def live_by(priority, changes=HALF, device=None):
     scene = load_scene("wall", {"device": "touch"} | changes)
     prioritised = Prioritised(priority)
-    both = Observers(prioritised, LiveObserver(scene, None))
-    return simulate(scene, on_tick=both, device=device), prioritised
+    both = prioritised, LiveObserver(scene, None)
+    return simulate(scene, observers=both, device=device), prioritised
 
 
 def test_the_thread_of_the_ticks_has_its_priority_raised_while_they_run():

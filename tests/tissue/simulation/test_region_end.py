@@ -16,7 +16,7 @@ from tissue.haptics.device.recorded import RecordedDevice
 from tissue.models.bone.region_end import RegionEnd
 from tissue.models.tissue_model import ToolMotion
 from tissue.objects.html import figures_of
-from tissue.show.figures.section import nearest_places
+from tissue.show.figures.section import draw_section
 from tissue.show.report.page import run_rows
 
 BLOCK = {
@@ -65,15 +65,19 @@ def test_a_tool_that_leaves_the_region_is_reported_once_and_breaks_or_breaches_n
     assert least_mm > 0.0
     # the picture states the distance of the summary, although the tool enters the plate later
     assert run.trace["distance_plate_mm"].min() < 0.0
-    (place,) = nearest_places(run)
-    assert place.least_mm == pytest.approx(least_mm)
+    draw_section(run, tmp_path / "section.svg")
+    drawn = (tmp_path / "section.svg").read_text()
+    assert f"{least_mm:.2f} mm away" in drawn
     # row, summary and picture state until when the distance holds
     left_s = reported_s(run, "left the simulated region")
-    assert run.summary["left_region_s"] == place.until_s == left_s
+    assert run.summary["left_region_s"] == left_s and f"up to {left_s:.3f} s" in drawn
     row = dict(run_rows(run.summary))["smallest distance to plate"]
     assert row == (
         f"{least_mm:.3g} mm (up to {left_s:.3f} s; the tool then left the simulated region)"
     )
+    (layer,) = run.summary["removed_mm3"]
+    removed = dict(run_rows(run.summary))[f"removed {layer}"]
+    assert removed.endswith(f" mm³ (not valid after {left_s:.3f} s)")
     assert figures_of(run.summary)["left_region_s"] == left_s
     margin_mm = float(re.search(r"margin_mm = ([0-9.]+)", run.parts.notes["simulated region"])[1])
     deepest_mm = -run.trace["tool_z_mm"].min()

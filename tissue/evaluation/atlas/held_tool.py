@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags
 from meshes.base.errors import InputError
 from tissue.evaluation.atlas.page import (
     GREEN,
@@ -108,7 +107,7 @@ class Course:
 
     tips_m: Array
     forces_N: Array
-    touches: NDArray[np.bool_]
+    touches: Flags
     mass_kg: float | None = None
 
     @property

@@ -18,10 +18,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags
 from meshes.base.hints import suggests_arguments
 from tissue.evaluation.statistics.hypothesis_test import Effect
 from tissue.haptics.device.device import device_parameters
@@ -88,9 +88,7 @@ class SimulatedObservers:
     def __len__(self) -> int:
         return len(self.kappa)
 
-    def correct(
-        self, base_N: ArrayLike, step_N: ArrayLike, rng: np.random.Generator
-    ) -> NDArray[np.bool_]:
+    def correct(self, base_N: ArrayLike, step_N: ArrayLike, rng: np.random.Generator) -> Flags:
         """Return True for each observer who names the larger of two forces, shape (n,).
 
         The forces are `base_N` and `base_N + step_N` [N]. A step of 0 has no right answer.
@@ -107,7 +105,7 @@ class SimulatedObservers:
         threshold = self.kappa * (np.asarray(base_N) + self.offset_N)
         return self.discriminate(D_PRIME_75 * np.asarray(step_N) / threshold, rng)
 
-    def discriminate(self, distance: ArrayLike, rng: np.random.Generator) -> NDArray[np.bool_]:
+    def discriminate(self, distance: ArrayLike, rng: np.random.Generator) -> Flags:
         """Return True for each observer who answers correctly, shape (n,).
 
         ``distance`` is the difference of two intervals, in standard deviations of the noise of an

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from rich.panel import Panel
 
 from meshes.base.errors import InputError, counted
 from meshes.base.whole_file import require_new_file, write_text
@@ -22,7 +21,7 @@ from tissue.perception.laws import two_interval
 from tissue.perception.observer import Observer, write_observer
 from tissue.show.figures.figure import figure, save
 
-__all__ = ["draw_session", "fit_population", "new_person", "posterior_panel"]
+__all__ = ["draw_session", "fit_population", "new_person"]
 
 
 def pooled_trials(sessions: list[Session]) -> PopulationTrials:
@@ -160,37 +159,9 @@ def fit_population(
     ]
 
 
-BLOCKS = " ▁▂▃▄▅▆▇█"
-HEIGHT = 8
 BLUE = "#0072B2"
 ORANGE = "#E69F00"
 GREY = "0.6"
-
-
-def posterior_panel(session: Session) -> Panel:
-    """Return the posterior of the Weber fraction as text bars, with the estimates below."""
-    masses = session.threshold.weber_masses()[:, 0]
-    # a character is an eighth of its height to its whole height tall
-    eighths = np.rint(8 * HEIGHT * masses / masses.max()).astype(int)
-    rows = [
-        "".join(BLOCKS[np.clip(each - 8 * row, 0, 8)] for each in eighths)
-        for row in reversed(range(HEIGHT))
-    ]
-    webers = session.plan.prior.webers
-    axis = [" "] * len(masses)
-    # 1, 2 and 5 of each decade, within the range of the prior
-    for tick in (0.02, 0.05, 0.1, 0.2, 0.5):
-        if webers[0] <= tick <= webers[-1]:
-            at = int(np.argmin(np.abs(np.log(webers / tick))))
-            word = f"{100 * tick:g}"
-            axis[at : at + len(word)] = word
-    text = "\n".join([*rows, "".join(axis)[: len(masses)] + " %", "", *session.lines()])
-    count = session.plan.trials + session.plan.numbers
-    return Panel(
-        text,
-        title=f"posterior of the Weber fraction, trial {session.trial} of {count}",
-        expand=False,
-    )
 
 
 def draw_session(session: Session, path: Path) -> None:

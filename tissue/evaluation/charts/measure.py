@@ -2,11 +2,8 @@
 
 from dataclasses import dataclass
 from importlib.metadata import version
-from math import nan
-from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
 from meshes.base.cache import Arrays, cached_arrays
@@ -15,7 +12,6 @@ from meshes.paths.toolpath import arc_length, points_along
 from tissue.evaluation.charts.settings import (
     Changes,
     Setting,
-    edge_mm,
     finest,
     grids,
     machine,
@@ -33,9 +29,8 @@ from tissue.evaluation.reference.history import (
 )
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.scene.load import changed
-from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
-from tissue.scene.tool import PathMotion, Probe, Tool
+from tissue.scene.tool import PathMotion, Tool
 from tissue.simulation.reference_force import ideal_force_N, played_force_N
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S, simulate
@@ -43,7 +38,6 @@ from tissue.simulation.simulate import TICK_S, simulate
 __all__ = [
     "SETTLED",
     "Measured",
-    "counts",
     "excerpt",
     "force_and_reference_N",
     "measure",
@@ -180,17 +174,6 @@ class Measured:
     median_us, p99_us, missed
         Median and 99th percentile of the time of a tick in contact [us], and number of ticks that
         took longer than 1 ms.
-    far_us
-        Median time of a tick out of contact [us]; NaN if all ticks are in contact.
-    engaged_mm2, step_mm
-        Mean area in contact [mm2], and edge of a voxel or finite element [mm].
-    elements, met
-        Numbers that determine the time of a tick. For a cutter: the number of its cutting elements,
-        and the contact area in units of a squared voxel edge. For an organ: the number of contacts
-        times the number of sweeps of a tick, and the squared number of contacts times the number of
-        sweeps.
-    built_s
-        Mean time to build and run the scene once and to compute its force error [s].
     """
 
     scene: str
@@ -201,12 +184,6 @@ class Measured:
     median_us: float
     p99_us: float
     missed: int
-    far_us: float
-    engaged_mm2: float
-    elements: int
-    step_mm: float
-    met: float
-    built_s: float
     machine: str
 
 
@@ -313,82 +290,44 @@ def _until(scene: Scene, end_s: float) -> Scene:
 
 def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
     """Run a scene at one setting: once at each of several places, or repeatedly at one place."""
-    started = perf_counter()
     places = placed(scene)
     runs = []
     errors = []
     for place in places:
         try:
             runs.append(_run(place, setting))
-            force_N, reference_N = force_and_reference_N(runs[-1], place, quick=quick)
+            forces = force_and_reference_N(runs[-1], place, quick=quick)
         except InputError:
             # A tool that is shifted sideways or deeper may start inside the tissue or touch no
             # tissue.
             if place is scene:
                 raise
             continue
-        over_50_ms = force_error(means_over_50_ms(force_N), means_over_50_ms(reference_N))
-        errors.append((force_error(force_N, reference_N), over_50_ms))
+        errors.append((force_error(*forces), force_error(*map(means_over_50_ms, forces))))
     # three places give three runs, and the fastest run counts; a single place is run again
     if len(places) == 1 and not (quick and scene.device is not None):
         runs += [_run(scene, setting) for _ in range(REPEATS - 1)]
-    took_s = (perf_counter() - started) / len(runs)
     # Other work of the machine only adds time.
     run = min(runs, key=lambda each: np.median(each.timing["tick_us"]))
     ticks = run.timing["tick_us"]
     touching = run.trace["contact_mm2"] > 0.0
-    touched = np.flatnonzero(touching) if touching.any() else np.arange(len(ticks))
+    touched = ticks[touching] if touching.any() else ticks
     counted = touched[SETTLED:] if len(touched) > SETTLED else touched
-    elements, met, step_mm = counts(run, counted)
+    error, error_50_ms = np.max(errors, axis=0).tolist()
     return Measured(
         scene=scene.name,
         setting=setting.name,
         family=setting.family,
-        force_error=max(error for error, _ in errors),
-        error_50_ms=max(error for _, error in errors),
-        median_us=float(np.median(ticks[counted])),
-        p99_us=float(np.percentile(ticks[counted], 99)),
+        force_error=error,
+        error_50_ms=error_50_ms,
+        median_us=float(np.median(counted)),
+        p99_us=float(np.percentile(counted, 99)),
         # 1 ms, the haptic tick
         missed=int((ticks > 1e3).sum()),
-        far_us=nan if touching.all() else float(np.median(ticks[~touching])),
-        engaged_mm2=float(run.trace["contact_mm2"][counted].mean()),
-        elements=elements,
-        step_mm=step_mm,
-        met=met,
-        built_s=took_s,
         machine=machine(),
     )
 
 
 def _run(scene: Scene, setting: Setting) -> Run:
-    """Run a scene with the changes, the cores and the Warp device of a setting."""
-    at = changed(scene, setting.changes)
-    return simulate(at, compute=setting.compute, cores=setting.cores, allow_unstable=True)
-
-
-def counts(run: Run, counted: NDArray[np.intp]) -> tuple[int, float, float]:
-    """Return the fields `elements`, `met` and `step_mm` of `Measured` over the counted ticks."""
-    scene = run.scene
-    trace = run.trace
-    if run.parts.cutter is not None:
-        from tissue.models.bone.model import BoneModel
-
-        tissue = run.parts.tissue
-        milling = getattr(tissue, "milling", tissue)
-        assert isinstance(milling, BoneModel)
-        step_mm = scene.voxels.spacing_mm
-        return (
-            len(milling.shell.areas_m2),
-            float(trace["contact_mm2"][counted].mean()) / step_mm**2,
-            step_mm,
-        )
-    if isinstance(scene.anatomy, SoftAnatomy) and isinstance(scene.tool, Probe):
-        contacts = trace["contact_points"][counted]
-        sweeps = trace["sweeps"][counted]
-        return (
-            round(float(np.median(contacts * sweeps))),
-            float(np.median(contacts**2 * sweeps)),
-            edge_mm(scene),
-        )
-    # walls and needles: one contact, without a grid
-    return 1, 1.0, 1.0
+    """Run a scene with the changes of a setting."""
+    return simulate(changed(scene, setting.changes), allow_unstable=True)

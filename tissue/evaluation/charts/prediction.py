@@ -1,4 +1,4 @@
-"""Comparison of all predictors on unseen runs: error by horizon, cost, and use with slow models."""
+"""Comparison of all predictors on unseen runs: error by horizon, and computing time."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
-from meshes.base.whole_file import write_text
+from meshes.base.whole_file import write_rows
 from tissue.evaluation.recorded_runs import Recorder, Recording, trial
 from tissue.evaluation.statistics.intervals import Interval, mean_interval, signed_interval
 from tissue.evaluation.training import HORIZONS, MOST_TRIALS, forecast_errors
@@ -52,13 +52,9 @@ or marker.
 """
 DELAY_MS = 4
 """Latency of the loops in the unseen runs [ms], near the mean of 4.3 ms in the paper."""
-SLOW_TICKS = 10
-"""Ticks between two forces of a slow model. Its rate is 100 Hz, a tenth of the haptic rate."""
-HEADS = {
-    "errors.csv": "scene,predictor,horizon_ms,runs,error,low,high",
-    "cost.csv": "scene,predictor,median_us,p99_us",
-    "slow_model.csv": "scene,predictor,error,low,high,cost_us",
-}
+
+
+TABLES = ("errors.csv", "cost.csv")
 
 
 @dataclass(frozen=True)
@@ -73,17 +69,11 @@ class PredictorComparison:
         Relative force errors by name of the predictor, each of shape (runs, horizons).
     cost_us
         Median and 99th percentile of the time that a predictor takes in a tick [us], by name.
-    slow
-        Results with a model at 100 Hz, by name of the predictor that predicts the forces between
-        those of the model. Each result is the error of the force in the present tick, and the time
-        of model and predictor per tick [us]. The entry ``1 kHz`` is a model that runs in every
-        tick.
     """
 
     scene: str
     errors: dict[str, Array]
     cost_us: dict[str, tuple[float, float]]
-    slow: dict[str, tuple[Interval, float]]
 
     def at(self, kind: str, horizon_ms: int) -> Interval:
         """Return the mean error of a predictor at a horizon [ms], with its 95 % interval."""
@@ -108,30 +98,21 @@ def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorCompari
     trained = trained.at_step(device.encoder_step_m)
     recorder = Recorder()
     steps = trials + len(PREDICTORS)
-
-    def step(doing: str, done: int) -> None:
-        """Report a step."""
-        report(f"{scene.name}: {doing}", done / steps)
-
     unseen = []
     for index in range(trials):
-        step(f"unseen run {index + 1} of {trials}", index)
+        report(f"{scene.name}: unseen run {index + 1} of {trials}", index / steps)
         share = SHARES[index % len(SHARES)]
         unseen.append(
             recorder.record(trial(scene, FIRST_SEED + index, delay_ms=DELAY_MS, share=share))
         )
-    model_us = 1e6 * np.median([run.model_s for run in unseen])
     errors = {}
     cost_us = {}
-    slow = {"1 kHz": (Interval(0.0, 0.0, 0.0), model_us)}
-    for index, kind in enumerate(PREDICTORS):
-        step(f"measuring {kind}", trials + index)
+    for index, kind in enumerate(PREDICTORS, start=trials):
+        report(f"{scene.name}: measuring {kind}", index / steps)
         make = partial(trained_predictor, kind, trained, force_limit_N=limit_N)
         errors[kind] = forecast_errors(make, unseen)
         cost_us[kind] = _cost_us(make(), unseen[0])
-        now = forecast_errors(make, unseen, horizons=(0,), model_ticks=SLOW_TICKS)[:, 0]
-        slow[kind] = (signed_interval(now), model_us / SLOW_TICKS + cost_us[kind][0])
-    return PredictorComparison(trained.scene, errors, cost_us, slow)
+    return PredictorComparison(trained.scene, errors, cost_us)
 
 
 def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
@@ -206,7 +187,7 @@ def chart_prediction(
     # one run has no interval
     if not 2 <= trials <= MOST_TRIALS:
         raise InputError("trials", f"be from 2 to {MOST_TRIALS}", trials, "use 30")
-    files = ("prediction_tasks.png", *HEADS, *(f"prediction_{scene.name}.png" for scene in scenes))
+    files = ("prediction_tasks.png", *TABLES, *(f"prediction_{scene.name}.png" for scene in scenes))
     found = []
     with OwnedFolder(folder, "chart", files, overwrite=overwrite):
         for index, scene in enumerate(scenes):
@@ -259,24 +240,20 @@ def _verdict(found: PredictorComparison, kind: str, at_delay: Mapping[str, Inter
 
 
 def _write_comparisons(found: Sequence[PredictorComparison], folder: Path) -> None:
-    """Write the tables of errors, costs and slow models.
+    """Write the tables of errors and costs.
 
     Errors are relative to the force. The columns low and high are the ends of the 95 % interval.
     """
-    rows: dict[str, list[Sequence[object]]] = {name: [] for name in HEADS}
+    errors: list[Sequence[object]] = [
+        ("scene", "predictor", "horizon_ms", "runs", "error", "low", "high")
+    ]
+    costs: list[Sequence[object]] = [("scene", "predictor", "median_us", "p99_us")]
     for each in found:
-        name = each.scene
-        for kind, errors in each.errors.items():
-            rows["errors.csv"] += [
-                (name, kind, ms, len(errors), *each.at(kind, ms)) for ms in HORIZONS
-            ]
-        rows["cost.csv"] += [(name, kind, *cost_us) for kind, cost_us in each.cost_us.items()]
-        rows["slow_model.csv"] += [
-            (name, kind, *at, cost_us) for kind, (at, cost_us) in each.slow.items()
-        ]
-    for name, head in HEADS.items():
-        lines = [head, *(",".join(map(str, row)) for row in rows[name])]
-        write_text(folder / name, "\n".join(lines) + "\n")
+        for kind, runs in each.errors.items():
+            errors += [(each.scene, kind, ms, len(runs), *each.at(kind, ms)) for ms in HORIZONS]
+            costs.append((each.scene, kind, *each.cost_us[kind]))
+    for name, rows in zip(TABLES, (errors, costs), strict=True):
+        write_rows(folder / name, rows)
 
 
 LIMIT_US = 20.0
@@ -286,13 +263,12 @@ LIMIT_US = 20.0
 def draw_scene(found: PredictorComparison, path: Path) -> None:
     """Draw the results of all predictors for one scene.
 
-    The three panels show the error against the horizon, the error against the cost, and the error
-    with a model at 100 Hz.
+    The two panels show the error against the horizon, and the error against the cost.
     """
-    # inches: a row of three panels over the legend
-    chart = figure(10.5, 4.2)
+    # inches: a row of two panels over the legend
+    chart = figure(8.5, 4.2)
     chart.set_layout_engine("constrained")
-    over_horizon, over_cost, slow = chart.subplots(1, 3)
+    over_horizon, over_cost = chart.subplots(1, 2)
     for kind, (colour, mark) in looks().items():
         mean, low, high = 100 * np.array([found.at(kind, each) for each in HORIZONS]).T
         over_horizon.plot(HORIZONS, mean, "-" + mark, color=colour, label=kind)
@@ -301,21 +277,13 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
         median, p99 = found.cost_us[kind]
         over_cost.plot([median, p99], [error, error], color=colour, alpha=0.5)
         over_cost.plot(median, error, mark, color=colour)
-        now, cost_us = found.slow[kind]
-        mean, low, high = 100 * np.array(now)
-        slow.errorbar(cost_us, mean, [[mean - low], [high - mean]], fmt=mark, color=colour)
     over_horizon.set(xlabel="horizon / ms", ylabel="force error / %", yscale="log")
     plain_numbers(over_horizon.yaxis)
     target = over_cost.axvline(LIMIT_US, color="0.3", linestyle="--")
     over_cost.set(xlabel="cost a tick / µs, median to 99 %", ylabel="force error 4 ms ahead / %")
-    # The axis begins at 0, where half of the star would be cut off.
-    slow.plot(found.slow["1 kHz"][1], 0.0, "*", color="0.1", clip_on=False)
-    slow.set(xlabel="model and prediction / µs a tick", ylabel="force error now / %")
-    slow.set_title("model at 100 Hz; star: at 1 kHz")
-    for axes in (over_cost, slow):
-        axes.set(xscale="log", ylim=(0, None))
-        plain_numbers(axes.xaxis)
-    for axes in (over_horizon, over_cost, slow):
+    over_cost.set(xscale="log", ylim=(0, None))
+    plain_numbers(over_cost.xaxis)
+    for axes in (over_horizon, over_cost):
         axes.grid(alpha=0.3, which="both")
     handles, labels = over_horizon.get_legend_handles_labels()
     chart.legend(

@@ -127,7 +127,6 @@ FAMILIES = {
     "stress": ("#CC79A7", "D", "with stress"),
     "elements": ("#009E73", "p", "elements"),
     "path": ("#E69F00", "H", "compliance"),
-    "cores": ("0.45", "h", "one core"),
     "loop": (ORANGE, "o", "renderer, predictor, model rate"),
     "model": ("0.2", "o", "the model"),
 }

@@ -87,14 +87,10 @@ class Setting:
     name
         Short name for pictures.
     family
-        Varied quantity: voxels, shell, cutting, elements, path, stress, loop or cores; "model" if
+        Varied quantity: voxels, shell, cutting, elements, path, stress or loop; "model" if
         nothing is varied.
     changes
         Changes of the scene: values by dotted key. A value of None removes the entry.
-    cores
-        Number of processor cores. None for all cores.
-    compute
-        Name of the Warp device.
     finer
         True if the setting is finer than the scene. Such a setting is measured only if the
         preceding finer settings stay within the time of a tick.
@@ -103,8 +99,6 @@ class Setting:
     name: str
     family: str
     changes: Changes = field(default_factory=dict)
-    cores: int | None = None
-    compute: str = "cpu"
     finer: bool = False
 
 
@@ -256,7 +250,7 @@ def _shell_mm(tool: Tool) -> float:
 def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
     """Yield settings of a cutting scene.
 
-    They vary voxel spacing, removal method, cutting elements, cutting law, stress field and cores.
+    They vary voxel spacing, removal method, cutting elements, cutting law and stress field.
     """
     plain = force_only(scene)
     base = scene.voxels.spacing_mm
@@ -294,7 +288,6 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
         yield Setting(name, "voxels", refined(scene, share), finer=True)
     if quick:
         return
-    yield from _cores(f"{base:g} mm, one core", plain)
     if scene.stress is not None:
         # 0.7 to 0.4 mm in the molar, the cells whose solves `docs/verification.md` reports
         for cell in (14.0, 10.0, 8.0):
@@ -333,7 +326,7 @@ def _of_law(scene: Scene, name: str) -> float:
 
 
 def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
-    """Yield settings of an organ: order and edge of tetrahedra, compliance method and cores."""
+    """Yield settings of an organ: order and edge of tetrahedra, and compliance method."""
     plain = force_only(scene)
     base = edge_mm(scene)
     # coarse to fine; linear tetrahedra have fewer nodes at the same edge, so finer ones are tried
@@ -358,18 +351,6 @@ def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
                 plain | {"organ.path": "reduced", "organ.basis_size": size},
             )
         yield Setting("lazy", "path", plain | {"organ.path": "lazy"})
-    yield from _cores("one core", plain)
-
-
-def _cores(name: str, plain: Changes) -> Iterator[Setting]:
-    """Yield settings with the scene on one core, and on every CUDA device of the machine."""
-    import warp as wp
-
-    import kernels  # noqa: F401  starts Warp without its greeting
-
-    yield Setting(name, "cores", plain, cores=1)
-    for device in wp.get_cuda_devices():
-        yield Setting(str(device), "cores", plain, compute=str(device))
 
 
 def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:

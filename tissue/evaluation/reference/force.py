@@ -28,9 +28,8 @@ from dataclasses import dataclass
 from math import ceil, pi
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Bytes, Flags
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
 from tissue.cutters.cutter import Cutter
@@ -78,7 +77,7 @@ class Solid:
             distance if self.minus is None else np.maximum(distance, -self.minus.distance(points))
         )
 
-    def layer(self, points: Array) -> NDArray[np.uint8]:
+    def layer(self, points: Array) -> Bytes:
         """Return the index of the layer at each point, shape (n,).
 
         The points [m] have shape (n, 3).
@@ -134,7 +133,7 @@ class _Cells:
     middle: Array
     size: Array
 
-    def chosen(self, which: NDArray[np.bool_]) -> "_Cells":
+    def chosen(self, which: Flags) -> "_Cells":
         return _Cells(self.middle[which], self.size[which])
 
     def divided(self) -> "_Cells":
@@ -214,7 +213,7 @@ class _AtTick:
         )
         return _Cells((numbers + 0.5) * size, np.broadcast_to(size, (len(numbers), 2)))
 
-    def _sorted(self, piece: Piece, cells: _Cells) -> tuple[_Cells, NDArray[np.bool_]]:
+    def _sorted(self, piece: Piece, cells: _Cells) -> tuple[_Cells, Flags]:
         """Return the cells that may be engaged, and flags for cells that no boundary crosses."""
         points, normals, _ = _surface(piece, cells.middle)
         advance = self._advance(points, normals)

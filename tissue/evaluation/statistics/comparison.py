@@ -23,7 +23,7 @@ from tissue.evaluation.statistics.hypothesis_test import (
     require_statsmodels,
     symmetric_residuals,
 )
-from tissue.evaluation.statistics.mixed import MixedModel, mixed_model
+from tissue.evaluation.statistics.mixed import mixed_model
 from tissue.evaluation.statistics.sign_flips import SignTest, pair_scores, sign_test
 from tissue.evaluation.statistics.strata import (
     Strata,
@@ -100,8 +100,8 @@ def compare(
     cells = table.where(task=task).cells(metric)
     groups = range(len(cells.group_names))
     # a factor: its indices within users, names and values of its levels, and whether it is a group
-    factors = [
-        ((0,), cells.factors[0][1], cells.values.T, False),
+    factors: list[tuple[tuple[int, ...], tuple[str, ...], list[Array], bool]] = [
+        ((0,), cells.factors[0][1], list(cells.values.T), False),
         (
             (),
             cells.group_names,
@@ -130,18 +130,19 @@ def compare(
     return MetricComparison(metric, task, tuple(tests), tuple(pairs), tuple(sizes))
 
 
-def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) -> MixedModel:
+def across_tasks(
+    table: TrialTable, metric: str, *, rng: np.random.Generator
+) -> list[HypothesisTest]:
     """Test a metric over all tasks by sign flips and by a linear mixed model.
 
-    The returned model contains the tests by sign flips. Each of these tests has the test of the
-    mixed model as an alternative. If the error term of a question has no variation, the test of the
-    mixed model takes the place of the test by sign flips, with a note.
+    Each test by sign flips has the test of the mixed model as an alternative. If the error term of
+    a question has no variation, the test of the mixed model takes its place, with a note.
     """
     mixed = mixed_model(table, metric)
     within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
     cells = table.cells(metric, within=within or ["method"])
     tests = []
-    for each in mixed.tests:
+    for each in mixed:
         asked = each.question.removeprefix(f"{metric}: ").split(" x ")
         chosen = tuple(index for index, (name, _) in enumerate(cells.factors) if name in asked)
         try:
@@ -151,7 +152,7 @@ def across_tasks(table: TrialTable, metric: str, *, rng: np.random.Generator) ->
             tests.append(replace(each, note=note))
             continue
         tests.append(replace(test, question=each.question, alternatives=(each, *test.alternatives)))
-    return replace(mixed, tests=tuple(tests))
+    return tests
 
 
 def stratum_test(

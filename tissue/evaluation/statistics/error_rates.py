@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import binomtest, studentized_range
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Flags, Ints
 from tissue.evaluation.statistics.hypothesis_test import ALPHA, LEVEL, Effect
 from tissue.evaluation.statistics.sign_flips import pair_scores, sign_test_p
 from tissue.evaluation.statistics.strata import (
@@ -29,7 +28,6 @@ With this number, a rate of 5 % has a standard error of 0.5 %.
 """
 QUESTIONS = {"method": ((0,), False), "group": ((), True), "group x method": ((0,), True)}
 """For each question, the indices of the factors within users, and True if groups are compared."""
-Rejects = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -192,7 +190,7 @@ def rejection_rates(
 
 def _rejections(
     values: Array, groups: Ints, question: str, rng: np.random.Generator
-) -> dict[str, Rejects]:
+) -> dict[str, Flags]:
     """Return True for populations in which a test rejects, by name of the test.
 
     The values have the shape of `rejection_rates`. A multivariate test is left out if there are too
@@ -217,8 +215,9 @@ def _rejections(
     if between and chosen:
         return found
     differences, errors, degrees = tukey(values[:, 0], groups, between=between)
-    reaches = (np.abs(differences) >= _critical_range(*degrees) * errors).any(axis=-1)
-    return found | {"Tukey HSD" if between else "Tukey HSD within users": reaches}
+    reaches = np.abs(differences) >= _critical_range(*degrees) * errors
+    test = "Tukey HSD" if between else "Tukey HSD within users"
+    return found | {test: np.asarray(reaches.any(axis=-1))}
 
 
 @lru_cache(maxsize=64)
@@ -239,7 +238,7 @@ def _joined(scores: Array) -> Array:
     return moved.reshape(*moved.shape[:-2], -1)
 
 
-def _share(rejects: Rejects) -> Effect:
+def _share(rejects: Flags) -> Effect:
     """Return the fraction of populations with a rejection, with its interval by Wilson (1927)."""
     found = binomtest(int(rejects.sum()), len(rejects))
     return Effect("share", found.statistic, *map(float, found.proportion_ci(LEVEL, "wilson")))

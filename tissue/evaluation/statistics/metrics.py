@@ -7,8 +7,9 @@ paths.
 import numpy as np
 from numpy.typing import ArrayLike
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
+from meshes.paths.toolpath import path_distance
 
 __all__ = [
     "acceleration_change_m_s2",
@@ -17,6 +18,7 @@ __all__ = [
     "deviation_mm",
     "excess_error",
     "excess_travel_mm",
+    "followed_ticks",
     "force_error",
     "force_mae_N",
     "force_rms_N",
@@ -36,6 +38,11 @@ SPARC_PADDING = 4
 """Padding level of SPARC (Balasubramanian et al. 2015).
 
 Zero padding refines the spectrum by a factor of 2 to this power.
+"""
+TREMOR_MM = 0.2
+"""Distance that a resting tool may move [mm].
+
+The largest amplitude of a simulated hand's tremor in hands.toml is 0.17 mm (three axes).
 """
 POINTS = 800
 """Largest number of samples of each path that are aligned.
@@ -330,7 +337,9 @@ def aligned_rows(path: Array, model: Array) -> Ints:
 def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
     """Return the distance of each point of a path from the model path [mm], shape (n,).
 
-    Only the part of the model path near the aligned row is searched.
+    Only the part of the model path near the aligned row is searched. For points that are aligned
+    with the last aligned row, the search continues to the end of the model path. The alignment may
+    end early, and these points may lie near a later part of the model path.
 
     Parameters
     ----------
@@ -348,4 +357,18 @@ def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
         along = ((path - model[start]) * edge).sum(axis=1) / np.where(length > 0.0, length, 1.0)
         foot = model[start] + np.clip(along, 0.0, 1.0)[:, None] * edge
         best = np.minimum(best, np.linalg.norm(path - foot, axis=1))
+    tail = rows == rows[-1]
+    best[tail] = np.minimum(best[tail], path_distance(path[tail], model[rows[-1] :]))
     return best
+
+
+def followed_ticks(model: Array, rows: Ints) -> Flags:
+    """Return True for each point of a path that has an aligned place on the model path.
+
+    The alignment may end before the last point of the model. If the model then moves farther than
+    the tremor of a hand, the points after this end have no aligned place. The parameters are those
+    of :func:`deviation_mm`.
+    """
+    end = rows[-1]
+    goes_on = np.linalg.norm(model[end:] - model[end], axis=1).max() > TREMOR_MM
+    return (np.arange(len(rows)) <= np.argmax(rows == end)) | (not goes_on)

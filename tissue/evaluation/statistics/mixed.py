@@ -27,7 +27,7 @@ from tissue.evaluation.statistics.trials import TrialTable
 if TYPE_CHECKING:
     from statsmodels.regression.mixed_linear_model import MixedLMResults
 
-__all__ = ["Components", "MixedModel", "Posterior", "mixed_model", "regression"]
+__all__ = ["Posterior", "mixed_model", "regression"]
 
 ITERATIONS = 400
 """Largest number of iterations of a fit. A fit that needs more counts as not converged.
@@ -38,51 +38,10 @@ LEAST = 1e-6
 """Smallest residual variance, divided by the total variance, for a likelihood with a maximum."""
 
 
-@dataclass(frozen=True)
-class Components:
-    """Estimated variance components, in the squared unit of the metric.
+def mixed_model(table: TrialTable, metric: str) -> list[HypothesisTest]:
+    """Fit a mixed model of a metric by restricted likelihood; return F tests of its fixed effects.
 
-    Attributes
-    ----------
-    user
-        Variance of users about the mean of their group.
-    user_method
-        Variance of the interaction of users with methods, within a task.
-    trial
-        Variance between trials of one user. All methods that are run in a trial share its
-        deviation.
-    residual
-        Remaining variance.
-    user_task
-        Variance of the interaction of users with tasks. Zero if there is only one task.
-    """
-
-    user: float
-    user_method: float
-    trial: float
-    residual: float
-    user_task: float = 0.0
-
-
-@dataclass(frozen=True)
-class MixedModel:
-    """A fitted mixed model.
-
-    Attributes
-    ----------
-    components
-        Estimated variance components.
-    tests
-        One F test of each fixed effect. The degrees of freedom are those of the effect and of its
-        error term (stratum).
-    """
-
-    components: Components
-    tests: tuple[HypothesisTest, ...]
-
-
-def mixed_model(table: TrialTable, metric: str) -> MixedModel:
-    """Fit a mixed model of a metric by restricted likelihood.
+    A test has the degrees of freedom of the effect and of its error term (stratum).
 
     The model is metric = mean + group x method (x task) + user + user by method + trial + rest.
 
@@ -144,32 +103,22 @@ def mixed_model(table: TrialTable, metric: str) -> MixedModel:
             vc_formula=parts or None,
         )
         fitted = model.fit(reml=True, maxiter=ITERATIONS)
-    found = dict(zip(model.exog_vc.names if parts else (), fitted.vcomp, strict=True))
-    variances = (
-        fitted.cov_re.iloc[0, 0],
-        found.get("method", 0.0) + found.get("both", 0.0),
-        found.get("trial", 0.0),
-        fitted.scale,
-        found.get("task", 0.0),
-    )
-    components = Components(*(scale**2 * each for each in variances))
+    variances = [fitted.cov_re.iloc[0, 0], *fitted.vcomp, fitted.scale]
     assumptions = (
-        _convergence(fitted.converged, components, caught),
+        _convergence(fitted.converged, fitted.scale / sum(variances), caught),
         normal_residuals(fitted.resid),
     )
     free = user_count - group_count
-    return MixedModel(
-        components,
-        tuple(_tests(fitted, metric, free, assumptions)),
-    )
+    return _tests(fitted, metric, free, assumptions)
 
 
 def _convergence(
-    reported_convergence: bool, found: Components, caught: list[warnings.WarningMessage]
+    reported_convergence: bool, residual_share: float, caught: list[warnings.WarningMessage]
 ) -> Assumption:
     """Check whether the optimiser has reached the maximum of the restricted likelihood.
 
-    The optimiser may wrongly report convergence if the residual variance is zero.
+    `residual_share` is the residual variance divided by the sum of all variances. If it is zero,
+    the optimiser may wrongly report convergence.
     """
     name = "convergence"
     if not reported_convergence:
@@ -177,7 +126,7 @@ def _convergence(
         return Assumption(
             name, False, f"restricted likelihood not at its maximum in {ITERATIONS} steps: {warned}"
         )
-    if found.residual < LEAST * sum(vars(found).values()):
+    if residual_share < LEAST:
         return Assumption(
             name,
             False,

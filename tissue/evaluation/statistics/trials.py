@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
 from meshes.base.whole_file import write_rows
 
@@ -253,7 +253,7 @@ class TrialTable:
             tuple(names[~whole].tolist()),
         )
 
-    def _rows(self, kept: NDArray[np.bool_]) -> "TrialTable":
+    def _rows(self, kept: Flags) -> "TrialTable":
         columns = {name: getattr(self, name)[kept] for name in KEYS}
         return TrialTable(
             **columns, metrics={name: values[kept] for name, values in self.metrics.items()}

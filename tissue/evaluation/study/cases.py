@@ -1,6 +1,8 @@
 """Report sections on the three case studies: needle, reaming and drilling."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from math import inf, isfinite
 
@@ -11,13 +13,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import counted
 from tissue.evaluation.calibration.observers import Stimulus, draw_observers, share_right
 from tissue.evaluation.statistics.trials import TrialTable
-from tissue.evaluation.study.discrimination import (
-    PEOPLE,
-    case_table,
-    right_percent,
-    sides,
-    specimens,
-)
+from tissue.evaluation.study.discrimination import PEOPLE, case_table
 from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.plan import TASKS
 from tissue.evaluation.study.section import (
@@ -46,9 +42,13 @@ TORQUE_STEP_NM = CASES["torque_step_Nm"].mean
 
 def case_sections(folder: StudyFolder, seed: int) -> list[Section]:
     """Return a report section for each case study with trials in the folder."""
-    makers = {"needle": needle_section, "reaming": _reaming, "drilling": _drilling}
+    makers: dict[str, Callable[[TrialTable], Section]] = {
+        "needle": needle_section,
+        "reaming": partial(_reaming, seed=seed),
+        "drilling": _drilling,
+    }
     tables = {task: case_table(folder, task) for task in makers}
-    return [makers[task](table, seed) for task, table in tables.items() if table is not None]
+    return [makers[task](table) for task, table in tables.items() if table is not None]
 
 
 def _reaming(table: TrialTable, seed: int) -> Section:
@@ -99,8 +99,8 @@ def _reaming(table: TrialTable, seed: int) -> Section:
     return Section("case-reaming", "Case: reaming of a glenoid", sentences, rows)
 
 
-def _drilling(table: TrialTable, seed: int) -> Section:
-    """Report discrimination of carious and sound teeth, and latency at 400,000 rpm."""
+def _drilling(table: TrialTable) -> Section:
+    """Report latency and force error at 400,000 rpm, in carious and in sound teeth."""
     rows = []
     lags = []
     for method in methods_of(table):
@@ -119,18 +119,9 @@ def _drilling(table: TrialTable, seed: int) -> Section:
                         "trials": str(chosen.sum()),
                     }
                 )
-    pair = specimens(table.where(method=methods_of(table)[0]))
-    text = "there are too few trials to discriminate carious from sound"
-    if pair is not None:
-        shares = right_percent(pair, seed).values()
-        text = (
-            f"carious ({pair.less.stimulus.level_N:.3f} N at the skin) and sound "
-            f"({pair.more.stimulus.level_N:.3f} N) are discriminated in {min(shares):.0f} to "
-            f"{max(shares):.0f} % of answers"
-        )
     sentences = (
-        f"At 400,000 rpm {text}. The mean lag is {', '.join(lags)}. Spin adds none, as the force "
-        "is the mean over a revolution.",
+        f"At 400,000 rpm the mean lag is {', '.join(lags)}. Spin adds none, as the force is the "
+        "mean over a revolution.",
         _difference("drilling"),
     )
     return Section("case-drilling", "Case: drilling of caries", sentences, rows)
@@ -165,11 +156,8 @@ def median_interval(values: Array) -> tuple[float, float, float]:
     return _middle(ordered), ordered[rank - 1], ordered[len(ordered) - rank]
 
 
-def needle_section(table: TrialTable, seed: int) -> Section:
-    """Report the needle's travel after the puncture, noticed punctures, and discrimination.
-
-    The discrimination is that of the forces of capsule and parenchyma.
-    """
+def needle_section(table: TrialTable) -> Section:
+    """Report the needle's travel after the puncture, and noticed punctures."""
     rows = []
     groups = (each for each in GROUPS if each in table.group)
     for method, group in product(methods_of(table), groups):
@@ -185,16 +173,6 @@ def needle_section(table: TrialTable, seed: int) -> Section:
         if noticed.any():
             row["mean of noticed mm"] = spread(travel[noticed])
         rows.append(row)
-    pair = sides(table.where(method=methods_of(table)[0]))
-    sentences = ["There are too few trials to discriminate capsule from parenchyma."]
-    if pair is not None:
-        wrong = {group: 100.0 - share for group, share in right_percent(pair, seed).items()}
-        text = ", ".join(f"{group} {value:.1f} %" for group, value in wrong.items())
-        sentences = [
-            f"Capsule ({pair.more.stimulus.level_N:.2f} N at the skin in the tenth of a second "
-            f"before its puncture) and parenchyma ({pair.less.stimulus.level_N:.2f} N after) are "
-            f"confused by {text}."
-        ]
     shared = table.shared()
     finding = (
         "There is no trial in which the capsule broke before the hand stopped under every method."
@@ -208,14 +186,14 @@ def needle_section(table: TrialTable, seed: int) -> Section:
             f"Of {counted(count, 'trial')} in which the capsule broke before the hand stopped "
             f"under every method, {text}."
         )
-    sentences.append(finding)
-    sentences.append(
+    sentences = [
+        finding,
         "A puncture that nobody notices counts as the longest travel, so that the median is of "
         "all; the mean is of those who noticed. The hand pushes with a rising force and stops a "
         "reaction after it has felt the force fall. What the springs of grip and coupling give "
-        "back at the puncture is part of this travel, whatever the reaction."
-    )
-    sentences.append(_difference("needle"))
+        "back at the puncture is part of this travel, whatever the reaction.",
+        _difference("needle"),
+    ]
     return Section("case-needle", "Case: needle", sentences, rows, picture, headline)
 
 

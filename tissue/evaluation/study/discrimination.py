@@ -13,7 +13,7 @@ from textwrap import wrap
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Ints
+from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
 from tissue.evaluation.calibration.observers import (
     SimulatedObservers,
@@ -43,7 +43,6 @@ __all__ = [
     "case_table",
     "changes_of",
     "discrimination_section",
-    "right_percent",
     "sides",
     "specimens",
 ]
@@ -184,7 +183,7 @@ def specimens(part: TrialTable) -> FeltPair | None:
     chosen = np.isin(part.values("specimen"), (0.0, 1.0))
     forces = part.values("skin_N")[chosen]
     people = part.people()[chosen]
-    second: NDArray[np.bool_] = part.values("specimen")[chosen] == 1.0
+    second: Flags = part.values("specimen")[chosen] == 1.0
     known = np.isin(people, np.intersect1d(people[second], people[~second]))
     first = known & ~second
     second = known & second
@@ -198,11 +197,6 @@ def sides(needle: TrialTable) -> FeltPair | None:
     """
     people = needle.people()
     return _pair((needle.values("parenchyma_N"), people), (needle.values("capsule_N"), people))
-
-
-def right_percent(pair: FeltPair, seed: int) -> dict[str, float]:
-    """Return the percentage of right answers of simulated people, by expertise group."""
-    return {group: 100.0 * pair.felt_by(people_of(group, seed))[1].mean() for group in GROUPS}
 
 
 def _pair(
@@ -223,16 +217,20 @@ def _pair(
     return FeltPair(first, second) if first.free.sum() > 0.0 and second.free.sum() > 0.0 else None
 
 
-def discrimination_section(folder: StudyFolder, table: TrialTable, seed: int) -> Section:
+def discrimination_section(folder: StudyFolder, table: TrialTable | None, seed: int) -> Section:
     """Report sensitivity d' and right answers for every pair of forces, group and method.
 
-    The changes relative to plain scaling are included.
+    The changes relative to plain scaling are included. `table` has the trials of the compared
+    tasks, if there are any.
     """
     taken: list[tuple[str, Callable[[TrialTable], FeltPair | None], TrialTable | None]] = [
-        (f"{task}: softer or usual", specimens, table.where(task=task)) for task in tasks_of(table)
+        ("capsule or parenchyma", sides, case_table(folder, "needle")),
+        ("carious or sound", specimens, case_table(folder, "drilling")),
     ]
-    taken.append(("capsule or parenchyma", sides, case_table(folder, "needle")))
-    taken.append(("carious or sound", specimens, case_table(folder, "drilling")))
+    if table is not None:
+        parts = {task: table.where(task=task) for task in tasks_of(table)}
+        compared = [(f"{task}: softer or usual", specimens, part) for task, part in parts.items()]
+        taken = [*compared, *taken]
     rows = []
     changes: dict[tuple[str, str, str], Array] = {}
     for what, pair_of, part in taken:

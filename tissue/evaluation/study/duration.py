@@ -5,8 +5,7 @@ from collections.abc import Callable, Collection, Iterable
 from time import perf_counter
 
 from meshes.base.errors import counted
-from tissue.evaluation.study.plan import REFERENCE, Plan, TrialKey
-from tissue.evaluation.study.trial import methods_of_trial
+from tissue.evaluation.study.plan import Plan, TrialKey
 from tissue.scene.load import changed, load_scene
 from tissue.simulation.simulate import simulate
 from tissue.system.progress import duration_text
@@ -20,11 +19,6 @@ The values were measured by ``python tests/bench/bench_study.py --costs`` with o
 methods. On a busy machine, the time of the probe varied from 0.25 to 0.48 s. The value of reaming
 is 1.49 times the value of drilling, which is the ratio of their processor times in
 docs/performance.md.
-"""
-REFERENCE_COST = 3.2
-"""Time of a trial of the reference variant, divided by the time of a usual trial with one method.
-
-The ratio is 3.7 for T1, 4.8 for T2 and 2.6 for T3. For the summed times of these tasks, it is 3.2.
 """
 PROBE_S = 0.5
 """Simulated time of the short simulation in `probe_s` [s]."""
@@ -44,11 +38,7 @@ def probe_s(clock: Callable[[], float] = perf_counter) -> float:
 
 def cost(plan: Plan, keys: Iterable[TrialKey]) -> float:
     """Return the processor time of trials, divided by the time that `probe_s` returns."""
-    total = 0.0
-    for key in keys:
-        each = COSTS[key.task] * len(methods_of_trial(plan, key))
-        total += each * (REFERENCE_COST if key.variant == REFERENCE else 1.0)
-    return total
+    return len(plan.methods) * sum(COSTS[key.task] for key in keys)
 
 
 def expected_text(plan: Plan, keys: Collection[TrialKey], *, workers: int) -> str:

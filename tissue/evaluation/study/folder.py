@@ -5,7 +5,7 @@ import json
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import cache, partial
 from pathlib import Path
 
@@ -45,25 +45,6 @@ TABLES = ("trials.csv", *(f"{name}.csv" for name, task in TASKS.items() if task.
 
 
 READ_TRIAL = TypeAdapter(Trial)
-
-
-@dataclass(frozen=True)
-class Stamp:
-    """Origin of a trial, as recorded in its file.
-
-    Attributes
-    ----------
-    plan_sha256, code_sha256
-        Hashes of the registered plan and of the code with which the trial was run. Empty if the
-        file has no such hash.
-    whole
-        True if the content of the file agrees with its recorded hash, or if the file has no such
-        hash.
-    """
-
-    plan_sha256: str
-    code_sha256: str
-    whole: bool
 
 
 @suggests_arguments
@@ -202,9 +183,7 @@ class StudyFolder:
                     "run the study in a new folder: trials of two versions are not combined",
                 )
             fields = {name: tuple(held[name]) for name in ("tasks", "groups", "methods")}
-            plan = Plan(
-                seed=held["seed"], trials=held["trials"], sensitivity=held["sensitivity"], **fields
-            )
+            plan = Plan(seed=held["seed"], trials=held["trials"], **fields)
             return plan, registered(held)
         except InputError:
             raise
@@ -216,16 +195,6 @@ class StudyFolder:
                 "choose another folder",
             ) from None
 
-    def stamp(self, key: TrialKey) -> Stamp:
-        """Return the origin of a trial, as recorded in its file."""
-        try:
-            held = dict(read_json(require_regular(self._file(key)).read_text("utf-8")))
-        except (OSError, ValueError, TypeError, RecursionError):
-            return Stamp("", "", False)
-        stated = held.pop("sha256", None)
-        plan_hash, code_hash = (str(held.get(name, "")) for name in ("plan_sha256", "code_sha256"))
-        return Stamp(plan_hash, code_hash, stated is None or stated == content_sha256(held))
-
     def has(self, key: TrialKey) -> bool:
         """Return whether the folder holds a trial."""
         return self._file(key).is_file()
@@ -233,9 +202,10 @@ class StudyFolder:
     def read(self, key: TrialKey) -> Trial | None:
         """Return a trial, or None if its file is missing or truncated."""
         try:
-            trial = READ_TRIAL.validate_python(
-                read_json(require_regular(self._file(key)).read_text("utf-8")) | {"key": key}
-            )
+            held = dict(read_json(require_regular(self._file(key)).read_text("utf-8")))
+            stated = held.pop("sha256", None)
+            whole = stated in (None, content_sha256(held))
+            trial = READ_TRIAL.validate_python(held | {"key": key, "whole": whole})
         except (OSError, ValueError, TypeError, RecursionError):
             return None
         return trial if all(map(_is_row, trial.rows)) else None
@@ -255,22 +225,18 @@ class StudyFolder:
 
     def forget_failures(self) -> None:
         """Delete the files of trials in which a method failed."""
-        for trial in self.trials(variant=None):
+        for trial in self.trials():
             if trial.failed:
                 self._file(trial.key).unlink()
 
-    def trials(self, *, variant: str | None = "") -> Iterator[Trial]:
-        """Yield the trials that have a complete file, in the order of the plan.
-
-        With an empty `variant`, only the trials of the study itself are returned. With the name of
-        a variant, only trials of this variant are returned. With None, all trials are returned.
-        """
+    def trials(self) -> Iterator[Trial]:
+        """Yield the trials that have a complete file, in the order of the plan."""
         for key in self.plan().all_trials():
-            if variant in (None, key.variant) and (trial := self.read(key)) is not None:
+            if (trial := self.read(key)) is not None:
                 yield trial
 
     def table(self, *tasks: str) -> TrialTable:
-        """Return the table of the trials of some tasks, without trials of variants.
+        """Return the table of the trials of some tasks.
 
         Raises
         ------

@@ -16,14 +16,11 @@ __all__ = [
     "LATENCY_MS",
     "METHODS",
     "PERSONAL",
-    "REFERENCE",
     "TASKS",
     "USERS",
-    "VARIANTS",
     "Plan",
     "Task",
     "TrialKey",
-    "Variant",
     "method_settings",
     "seeded",
 ]
@@ -45,18 +42,6 @@ The trials of a group are assigned to these people in turn.
 """
 LATENCY_MS = 4
 """Latency of the loop in every trial [ms]. The mean in the paper is 4.3 ms."""
-REFERENCE = "reference"
-"""Name of the variant that compares the reference force with the force of the finest model."""
-SENSITIVITY_TRIALS = 6
-REFERENCE_TRIALS = 2
-"""Number of trials of each task in the reference variant.
-
-`SENSITIVITY_TRIALS` is the number of trials of each task in every other variant.
-
-Trials of the reference variant take longest, so there are few of them.
-"""
-MIDDLE = "intermediate"
-"""Expertise group of the people with whom all variants are run."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,8 +60,8 @@ class Task:
     specimens
         Changes of the scene for each specimen, by dotted key. Each person gets all specimens in
         turn. The discrimination compares the first two.
-    extremes
-        A softer and a harder specimen, for the variants of the tissue. Empty for a case study.
+    case
+        True for a case study, which has a separate table and is not among the compared tasks.
     wanted_mm
         Corners of the target path of the tool [mm]. Default: the path of the motion.
     most
@@ -91,15 +76,10 @@ class Task:
     scene: str
     changes: Mapping[str, object]
     specimens: tuple[Mapping[str, object], ...]
-    extremes: tuple[Mapping[str, object], ...] = ()
+    case: bool = False
     wanted_mm: tuple[tuple[float, float, float], ...] = ()
     most: int = 10_000
     differs: str = ""
-
-    @property
-    def case(self) -> bool:
-        """True for a case study, which has a separate table and is not among the compared tasks."""
-        return not self.extremes
 
 
 def _scaled(
@@ -124,14 +104,12 @@ TASKS = {
             "motion.feed_mm_s": 18.0,
         },
         specimens=_scaled(SLAB, (0.7, 1.0, 1.3)),
-        extremes=_scaled(SLAB, (0.5, 2.0)),
     ),
     "T2": Task(
         title="abrupt contact with a wall",
         scene="wall",
         changes={"duration_s": None},
         specimens=_scaled(WALL, (0.7, 1.0, 1.3)),
-        extremes=_scaled(WALL, (0.5, 2.0)),
         # No hand brings the ball into the wall, so the ball should stay on the surface.
         wanted_mm=((0.0, 0.0, 20.0), (0.0, 0.0, 0.0), (50.0, 0.0, 0.0)),
     ),
@@ -160,12 +138,12 @@ TASKS = {
             "duration_s": None,
         },
         specimens=_scaled(BONE, (0.6, 1.0, 1.1)),
-        extremes=_scaled(BONE, (0.5, 1.1)),
         differs="the motion of the hand is scaled to a tenth at the burr, so that the hand feels "
         "the bone",
     ),
     "needle": Task(
         title="needle pushed through the capsule of a liver, to stop as it breaks",
+        case=True,
         scene="needle",
         changes={
             "anatomy.interval_ms": 0.0,
@@ -180,6 +158,7 @@ TASKS = {
     ),
     "reaming": Task(
         title="reaming of a glenoid",
+        case=True,
         scene="glenoid",
         changes={
             "voxels.spacing_mm": 0.2,
@@ -197,6 +176,7 @@ TASKS = {
     ),
     "drilling": Task(
         title="drilling of a molar at 400,000 rpm, carious or sound",
+        case=True,
         scene="caries",
         changes=TOOTH | {"motion.points_mm": [[0, 0, 0.3], [0, 0, -1.5]], "duration_s": None},
         specimens=({}, {"anatomy.caries_depth_mm": None, "anatomy.caries_diameter_mm": None}),
@@ -245,54 +225,6 @@ def method_settings(method: str) -> Mapping[str, object]:
     raise unknown_name("methods", dict.fromkeys((*METHODS, *PREDICTORS)), method)
 
 
-@dataclass(frozen=True)
-class Variant:
-    """Variant of a study with one changed parameter.
-
-    All other values, including the seeds, are those of the study.
-
-    Attributes
-    ----------
-    parameter, value
-        Name of the varied parameter, and its value in words.
-    changes
-        Changes of the scene by dotted key.
-    pace
-        Factor on the speed of the hand.
-    extreme
-        Index of the specimen in `Task.extremes` that replaces the usual specimens. None to keep the
-        usual specimens.
-    """
-
-    parameter: str
-    value: str
-    changes: Mapping[str, object]
-    pace: float = 1.0
-    extreme: int | None = None
-
-
-VARIANTS = {
-    "latency-low": Variant("latency", "2 ms instead of 4", {"coupling.delay_ms": 2}),
-    "latency-high": Variant("latency", "8 ms instead of 4", {"coupling.delay_ms": 8}),
-    "hand-novice": Variant("hand", "a novice's instead of an intermediate's", {"hand": "novice"}),
-    "hand-expert": Variant("hand", "an expert's instead of an intermediate's", {"hand": "expert"}),
-    "device-omni": Variant(
-        "device", "omni (encoder step 55 um) instead of touch (55 um)", {"device": "omni"}
-    ),
-    "device-six-dof": Variant(
-        "device", "six-dof (encoder step 30 um) instead of touch (55 um)", {"device": "six-dof"}
-    ),
-    "tissue-soft": Variant("tissue", "half as stiff, bone half as dense", {}, extreme=0),
-    "tissue-hard": Variant("tissue", "twice as stiff, bone 10 % denser", {}, extreme=1),
-    "pace-slow": Variant("pace", "0.7 of the usual", {}, pace=0.7),
-    "pace-fast": Variant("pace", "1.4 of the usual", {}, pace=1.4),
-}
-"""Variants by name: five parameters, each with two values.
-
-The variants are run with people of the group in `MIDDLE`.
-"""
-
-
 @dataclass(frozen=True, order=True)
 class TrialKey:
     """Key of a trial.
@@ -305,14 +237,11 @@ class TrialKey:
         Task and expertise group.
     trial
         Number of the trial within its task and group.
-    variant
-        Name of the variant. Empty for a trial of the study itself.
     """
 
     task: str
     group: str
     trial: int
-    variant: str = ""
 
     @property
     def user(self) -> int:
@@ -334,9 +263,7 @@ class TrialKey:
 
         The same name selects the trial for a single run.
         """
-        return f"{self.task}-{self.group}-{self.trial:04d}" + f"-{self.variant}" * bool(
-            self.variant
-        )
+        return f"{self.task}-{self.group}-{self.trial:04d}"
 
     @classmethod
     def named(cls, name: str) -> "TrialKey":
@@ -348,13 +275,12 @@ class TrialKey:
             If no trial can have this name.
         """
         # empty texts stand for missing parts, which are refused below
-        task, group, number, variant, *_ = *name.split("-", 3), "", "", ""
-        known = task in TASKS and group in GROUPS and variant in ("", REFERENCE, *VARIANTS)
-        if not (known and number.isdecimal()):
+        task, group, number, *_ = *name.split("-", 2), "", ""
+        if task not in TASKS or group not in GROUPS or not number.isdecimal():
             raise InputError(
                 "trial", "be the name of a trial's file", name, "use for example T1-novice-0007"
             )
-        return cls(task, group, int(number), variant)
+        return cls(task, group, int(number))
 
 
 @suggests_arguments
@@ -374,9 +300,6 @@ class Plan:
     methods
         Compared methods: keys of `METHODS`, or names of predictors. The coupling stiffness of a
         trial is stable with all of these methods, so it depends on this choice.
-    sensitivity
-        If true, a few trials are repeated in all variants: with one changed parameter, and in
-        comparison with the finest model.
 
     Raises
     ------
@@ -389,7 +312,6 @@ class Plan:
     tasks: tuple[str, ...] = tuple(TASKS)
     groups: tuple[str, ...] = GROUPS
     methods: tuple[str, ...] = tuple(METHODS)
-    sensitivity: bool = True
 
     def __post_init__(self) -> None:
         # more than a hundred times the default is a typing error
@@ -425,15 +347,6 @@ class Plan:
                 for group in self.groups:
                     if trial < TASKS[task].most:
                         yield TrialKey(task, group, trial)
-        if not self.sensitivity:
-            return
-        for variant, most in {
-            REFERENCE: REFERENCE_TRIALS,
-            **dict.fromkeys(VARIANTS, SENSITIVITY_TRIALS),
-        }.items():
-            for trial in range(min(self.trials, most)):
-                for task in self.compared:
-                    yield TrialKey(task, MIDDLE, trial, variant)
 
     def holds(self, other: "Plan") -> bool:
         """Return whether this plan contains all trials of another plan.
@@ -442,15 +355,10 @@ class Plan:
         """
         same = self.seed == other.seed and self.methods == other.methods
         wider = set(other.tasks) <= set(self.tasks) and set(other.groups) <= set(self.groups)
-        return (
-            same and wider and other.trials <= self.trials and other.sensitivity <= self.sensitivity
-        )
+        return same and wider and other.trials <= self.trials
 
     def rng(self, key: TrialKey) -> np.random.Generator:
-        """Return the random generator of a trial.
-
-        In a variant, a trial has the same generator as in the study itself.
-        """
+        """Return the random generator of a trial."""
         place = (list(TASKS).index(key.task), GROUPS.index(key.group), key.trial)
         return seeded(self.seed, *place)
 

@@ -113,7 +113,7 @@ def pierce(scene: Scene, *, kappa: float, offset_N: float, rate_N_s: float = RAT
     device = SimulatedDevice(limits, hand, position_m=(x, y, z))
     bystander = _Bystander(hand, float(np.linalg.norm(end - start)))
     pushed = changed(scene, {"duration_s": LONGEST_S})
-    return simulate(pushed, cores=1, device=device, observer=bystander, allow_unstable=True)
+    return simulate(pushed, cores=1, device=device, observers=[bystander], allow_unstable=True)
 
 
 class _Bystander(RunObserver):

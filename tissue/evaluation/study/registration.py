@@ -239,7 +239,6 @@ def plan_text(plan: Plan) -> str:
             },
             "trials_per_task_and_group": plan.trials,
             "people_per_group": people,
-            "sensitivity": plan.sensitivity,
             "trials_in_all": len(keys),
             "latency_ms": LATENCY_MS,
         },

@@ -17,31 +17,23 @@ from tissue.evaluation.study.discrimination import discrimination_section
 from tissue.evaluation.study.fidelity import (
     force_section,
     latency_section,
-    reference_section,
-    sensitivity_section,
     task_section,
 )
 from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.plan import (
     LATENCY_MS,
-    PERSONAL,
     TASKS,
     USERS,
     Plan,
-    method_settings,
 )
 from tissue.evaluation.study.registration import file_sha256
 from tissue.evaluation.study.section import CHOSEN_AFTER, SOURCE, Section
 from tissue.evaluation.study.tested import statistics_sections
 from tissue.evaluation.study.trial import (
-    NUMBERS,
-    PACE_SPREAD,
-    WITHIN_SPREAD,
     Trial,
     failures_of,
     trial_seed,
 )
-from tissue.materials.constants import constants
 from tissue.system.html import html_page, html_picture
 from tissue.system.owned_folder import OwnedFolder
 
@@ -52,32 +44,10 @@ WIDE = ".wide { overflow-x: auto; } .wide td { overflow-wrap: break-word; }"
 HEADLINES = ("registration", "force", "discrimination", "case-needle", "latency")
 """Names of the sections whose main findings are listed first in the report, in this order."""
 MOST_HEADLINES = 4
-PICTURES = ("force", "discrimination", "case-needle", "tasks", "sensitivity", "pairs")
-"""Names of the sections whose pictures are shown first in the report, in this order."""
-MOST_PICTURES = 3
 NAMED = 5
 """Largest number of names that are listed in a cell of a table or in a sentence."""
 Difference = tuple[str, str, str]
 """Kind, object and detail of a difference from the registered plan."""
-TISSUES = {
-    "T3": (("cutting", "bone"),),
-    "needle": (("needle", "liver"),),
-    "reaming": (("cutting", "bone"), ("perception", "torque")),
-    "drilling": (("cutting", "enamel"), ("cutting", "dentin")),
-}
-"""Tables of cited constants of tissues and senses that the report lists for each task.
-
-T1 and T2 have no entry, because their stiffness is set in the scene.
-"""
-PARAMETER = ("of", "parameter", "value", "range", "confidence", "source")
-STUDY = (
-    ("latency ms", LATENCY_MS, "2 to 8, see the sensitivity", "M", "near the paper's 4.3 ms"),
-    ("people a group", USERS, "", "", "trials go round among them"),
-    ("spread of the logarithm of pace, people", PACE_SPREAD, "", "L", "assumed"),
-    ("spread of the logarithm of pace, trials", WITHIN_SPREAD, "", "L", "assumed"),
-    ("numbers given to forces in a calibration", NUMBERS, "", "L", "assumed"),
-)
-"""Parameters of the study itself, each with name, value, range, confidence and source."""
 
 
 def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[str]]:
@@ -117,6 +87,7 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
     plan = folder.plan()
     folder.write_tables()
     sections: list[Section] = []
+    whole = None
     # without compared tasks, a study has case studies alone
     if plan.compared:
         table = folder.table(*plan.compared)
@@ -131,43 +102,26 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
         # the progress follows the time of the sections: the tests take half of it
         report("force and tasks", 0.1)
         sections += [force_section(whole), latency_section(whole), task_section(whole)]
-        report("discrimination", 0.2)
-        sections.append(discrimination_section(folder, whole, plan.seed))
-        report("tests", 0.4)
+        report("tests", 0.2)
         sections += statistics_sections(table, np.random.default_rng(plan.seed))
+    report("discrimination", 0.7)
+    sections.append(discrimination_section(folder, whole, plan.seed))
     report("case studies", 0.9)
     sections += case_sections(folder, plan.seed)
-    sections += [
-        each
-        for each in (sensitivity_section(folder), reference_section(folder))
-        if each is not None
-    ]
     differences = registration_section(folder, [each for each in sections if each.name == "tests"])
     found = found_section([*sections, differences])
-    return [
-        found,
-        _overview(folder),
-        differences,
-        *sections,
-        _parameters(plan),
-    ]
+    return [found, _overview(folder), differences, *sections]
 
 
 def found_section(sections: Sequence[Section]) -> Section:
-    """Return the first section of the report, which summarises the other sections.
-
-    It contains the main findings and the most important pictures of the other sections.
+    """Return the first section of the report: main findings of the other sections.
 
     The last sentence states how many results agree with the published results.
     """
-    named = {each.name: each for each in sections}
-    headlines = [named[name].headline for name in HEADLINES if name in named]
+    headlines = {each.name: each.headline for each in sections}
     # an empty headline: the section has no finding
-    headlines = [each for each in headlines if each][:MOST_HEADLINES]
-    pictured = [named[name] for name in PICTURES if name in named and named[name].picture]
-    gallery = {each.title: each.picture for each in pictured[:MOST_PICTURES]}
-    sentences = (*headlines, _agreement(sections))
-    return Section("found", "What was found", sentences, gallery=gallery)
+    found = [headlines[name] for name in HEADLINES if headlines.get(name)]
+    return Section("found", "What was found", [*found[:MOST_HEADLINES], _agreement(sections)])
 
 
 def _agreement(sections: Sequence[Section]) -> str:
@@ -194,8 +148,8 @@ def _agreement(sections: Sequence[Section]) -> str:
 def _overview(folder: StudyFolder) -> Section:
     """Report tasks and scenes, numbers of trials, and reasons of failures."""
     plan = folder.plan()
-    kept = list(folder.trials(variant=None))
-    counts = Counter((trial.key.task, trial.key.group) for trial in kept if not trial.key.variant)
+    kept = list(folder.trials())
+    counts = Counter((trial.key.task, trial.key.group) for trial in kept)
     rows = [
         {
             "task": task,
@@ -254,7 +208,7 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
         Report sections on hypothesis tests. Empty if nothing is compared.
     """
     plan = folder.plan()
-    kept = list(folder.trials(variant=None))
+    kept = list(folder.trials())
     found = [
         *_plans(folder),
         *_trials(folder, plan, kept),
@@ -301,7 +255,8 @@ def _trials(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Diff
     keys = list(plan.all_trials())
     held = {trial.key for trial in kept}
     for group in plan.groups:
-        if any(key.group == group for key in keys) and not any(key.group == group for key in held):
+        # a case study with few trials may have no trial of a group
+        if {group} & {key.group for key in keys} - {key.group for key in held}:
             yield "group missing", group, "no trial of it"
     for task in plan.tasks:
         if names := [key.name for key in keys if key.task == task and key not in held]:
@@ -310,30 +265,38 @@ def _trials(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Diff
         yield "trials failed and left out", what, _named(names)
     for method in plan.methods:
         without = [
-            trial.key.name
-            for trial in kept
-            if not trial.key.variant and all(row["method"] != method for row in trial.rows)
+            trial.key.name for trial in kept if all(row["method"] != method for row in trial.rows)
         ]
         if without:
             yield "method missing", method, _named(without)
-    planned = {key.name for key in keys}
-    if strange := sorted(
-        each.stem for each in (folder.path / "trials").glob("*.json") if each.stem not in planned
-    ):
+    files = {each.stem for each in (folder.path / "trials").glob("*.json")}
+    if strange := sorted(files - {key.name for key in keys}):
         yield "trials not planned", "files that the report leaves out", _named(strange)
 
 
 def _origins(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Difference]:
     """Yield trials with changed files, another seed or no registered plan, and changed code."""
     plans = {str(each["sha256"]) for each in folder.registrations()}
-    stamps = {trial.key: folder.stamp(trial.key) for trial in kept}
-    if names := [key.name for key, stamp in stamps.items() if not stamp.whole]:
-        yield "trials changed after they were written", "SHA-256 in their files", _named(names)
-    if names := [key.name for key, stamp in stamps.items() if stamp.plan_sha256 not in plans]:
-        yield "trials of no registered plan", "SHA-256 in their files", _named(names)
-    if names := [trial.key.name for trial in kept if trial.seed != trial_seed(plan, trial.key)]:
-        yield "trials of another seed", f"plan has {plan.seed}", _named(names)
-    codes = sorted({stamp.code_sha256 for stamp in stamps.values()})
+    for kind, what, names in (
+        (
+            "trials changed after they were written",
+            "SHA-256 in their files",
+            [trial.key.name for trial in kept if not trial.whole],
+        ),
+        (
+            "trials of no registered plan",
+            "SHA-256 in their files",
+            [trial.key.name for trial in kept if trial.plan_sha256 not in plans],
+        ),
+        (
+            "trials of another seed",
+            f"plan has {plan.seed}",
+            [trial.key.name for trial in kept if trial.seed != trial_seed(plan, trial.key)],
+        ),
+    ):
+        if names:
+            yield kind, what, _named(names)
+    codes = sorted({trial.code_sha256 for trial in kept})
     if len(codes) > 1:
         yield (
             "code changed between trials",
@@ -380,42 +343,10 @@ def _named(names: Sequence[str], mark: str = ", ") -> str:
     return f"{len(names)}: {mark.join(names[:NAMED])}{f'{mark}...' * (len(names) > NAMED)}"
 
 
-def _parameters(plan: Plan) -> Section:
-    """List the parameters of a study with value, range, confidence and source.
-
-    The changes of the scenes are listed in the overview instead.
-    """
-    rows = [("study", *map(str, each)) for each in STUDY]
-    for method in plan.methods:
-        personal = {"perception": "the person's own"} if method in PERSONAL else {}
-        for name, value in {**method_settings(method), **personal}.items():
-            rows.append((f"method {method}", name, str(value), "", "", "definition"))
-    tables = [("devices", "touch"), ("hands", "any"), *(("hands", group) for group in plan.groups)]
-    tables += [("perception", "force"), *(("observers", group) for group in plan.groups)]
-    tables += [each for task in plan.tasks for each in TISSUES.get(task, ())]
-    for table, name in dict.fromkeys(tables):
-        for entry, one in constants(table, name).items():
-            span = f"{one.low:g} to {one.high:g}"
-            rows.append(
-                (f"{table}, {name}", entry, f"{one.value:g}", span, one.confidence, one.source)
-            )
-    unsure = sum(row[4] == "L" for row in rows)
-    sentence = (
-        f"{len(rows)} parameters; {unsure} of them are of low confidence (L: assumed, or "
-        "read in an abstract), most of what distinguishes people and groups among them. None was "
-        "chosen by a figure of the paper but the latency and the depth that the needle aims at, as "
-        "its section states."
-    )
-    table_rows = [dict(zip(PARAMETER, row, strict=True)) for row in rows]
-    return Section("parameters", "Parameters", (sentence,), table_rows)
-
-
 def _as_html(section: Section, file: str) -> str:
     """Return one section as HTML, with a link to the file that holds its table."""
     text = "".join(f'<p class="verdict">{escape(each)}</p>\n' for each in section.sentences)
     shown = html_picture(section.title, section.picture) if section.picture else ""
-    for title, picture in section.gallery.items():
-        shown += f'<p class="soft">{escape(title)}</p>\n{html_picture(title, picture)}'
     table = ""
     if section.rows:
         head = "".join(f"<th>{escape(each)}</th>" for each in section.header)

@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
@@ -137,8 +137,6 @@ class Section:
         PNG picture. May be empty.
     headline
         Main finding in one sentence, for the first section of the report.
-    gallery
-        Further PNG pictures by title.
     """
 
     name: str
@@ -147,7 +145,6 @@ class Section:
     table: Sequence[Mapping[str, str]] = ()
     picture: bytes = b""
     headline: str = ""
-    gallery: Mapping[str, bytes] = field(default_factory=dict)
 
     @property
     def header(self) -> tuple[str, ...]:

@@ -88,7 +88,7 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
     def over_all(metric: str) -> list[Outcome]:
         chosen, equal = _distinct(table, (metric,))
         same.setdefault("all", []).extend(equal)
-        return [("all", each) for each in across_tasks(chosen, metric, rng=rng).tests]
+        return [("all", each) for each in across_tasks(chosen, metric, rng=rng)]
 
     for task in tasks_of(table):
         for metric in COMPARED:

@@ -18,17 +18,12 @@ from pydantic import Field
 
 from meshes.base.hints import suggests_arguments
 from tissue.evaluation.calibration.observers import draw_observers
-from tissue.evaluation.charts.settings import finest
-from tissue.evaluation.statistics import metrics
 from tissue.evaluation.study.plan import (
     LATENCY_MS,
     PERSONAL,
-    REFERENCE,
     TASKS,
-    VARIANTS,
     Plan,
     TrialKey,
-    Variant,
     method_settings,
 )
 from tissue.evaluation.study.puncture import RATE_N_S, pierce
@@ -40,7 +35,6 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.builders.loop import judged_loop, loop_settings
-from tissue.simulation.reference_force import ideal_force_N
 from tissue.simulation.simulate import simulate
 
 __all__ = [
@@ -51,7 +45,6 @@ __all__ = [
     "Trial",
     "error_sentence",
     "failures_of",
-    "methods_of_trial",
     "run_trial",
     "trial_scene",
     "trial_seed",
@@ -68,7 +61,6 @@ WITHIN_SPREAD = 0.05
 """
 NUMBERS = 24
 """Number of forces that a person rates in the calibration: the default of a calibration session."""
-PLAIN = Variant("", "", {})
 
 
 @suggests_arguments
@@ -86,12 +78,20 @@ class Trial:
         One row for each method, see `Row`.
     took_s
         Wall time of the trial [s].
+    plan_sha256, code_sha256
+        Hashes of the registered plan and of the code with which the trial was run, as recorded in
+        its file.
+    whole
+        False if the content of the file differs from its recorded hash.
     """
 
     key: TrialKey
     seed: Annotated[int, Field(ge=0, lt=2**63)]
     rows: tuple[Row, ...]
     took_s: float
+    plan_sha256: str = ""
+    code_sha256: str = ""
+    whole: bool = True
 
     @property
     def failed(self) -> bool:
@@ -139,7 +139,7 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
     rows: list[Row] = []
     trial: TrialScene | None = None
     with tempfile.TemporaryDirectory() as folder:
-        for method in methods_of_trial(plan, key):
+        for method in plan.methods:
             try:
                 trial = trial or trial_scene(plan, key, Path(folder) / f"{method}.json")
                 rows.append({"method": method, **_metrics(trial, method, key)})
@@ -179,18 +179,14 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
     rng = plan.rng(key)
     person = plan.person(key)
     task = TASKS[key.task]
-    variant = VARIANTS.get(key.variant, PLAIN)
     # a seed is a signed 64-bit integer in tables
     seed = int(rng.integers(2**62))
-    pace = variant.pace * float(
-        np.exp(PACE_SPREAD * person.standard_normal() + WITHIN_SPREAD * rng.standard_normal())
-    )
+    spread = PACE_SPREAD * person.standard_normal() + WITHIN_SPREAD * rng.standard_normal()
+    pace = float(np.exp(spread))
     truth, known = _calibrated(key, person)
     write_observer(known, observer)
-    met = (
-        task.specimens[key.specimen] if variant.extreme is None else task.extremes[variant.extreme]
-    )
-    scene = changed(load_scene(task.scene), {**task.changes, **met})
+    specimen = task.specimens[key.specimen]
+    scene = changed(load_scene(task.scene), {**task.changes, **specimen})
     assert isinstance(scene.motion, PathMotion)
     per_trial = {
         "seed": seed,
@@ -201,7 +197,6 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
         "device": "touch",
         "hand": key.group,
         "coupling.delay_ms": LATENCY_MS,
-        **variant.changes,
     }
     scene = changed(scene, by_hand)
     felt = {name: {"perception": f"observer:{observer}"} for name in PERSONAL}
@@ -262,18 +257,6 @@ def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Obse
     return truth, Observer(name=name, mean=mean, covariance=covariance, trials=NUMBERS)
 
 
-def methods_of_trial(plan: Plan, key: TrialKey) -> tuple[str, ...]:
-    """Return the methods that are run in a trial.
-
-    Variants are run only with the methods penalty and koopman, and the reference variant only with
-    penalty. If the plan contains none of these, its first method is used.
-    """
-    if not key.variant:
-        return plan.methods
-    wanted = ("penalty",) if key.variant == REFERENCE else ("penalty", "koopman")
-    return tuple(method for method in plan.methods if method in wanted) or plan.methods[:1]
-
-
 def _metrics(trial: TrialScene, method: str, key: TrialKey) -> dict[str, float]:
     """Return the metrics of a trial under one method."""
     scene = trial.scenes[method]
@@ -285,10 +268,6 @@ def _metrics(trial: TrialScene, method: str, key: TrialKey) -> dict[str, float]:
         )
     else:
         run = simulate(scene, cores=1)
-    if key.variant == REFERENCE:
-        prompt = ideal_force_N(run, cores=1)
-        converged = ideal_force_N(run, finest(run.scene, quick=True), cores=1)
-        return {"reference_error": metrics.force_error(prompt, converged)}
     assert isinstance(run.scene.motion, PathMotion)
     wanted = np.array(TASKS[key.task].wanted_mm or run.scene.motion.points_mm)
     return measured(run, key.task, person, wanted_mm=wanted) | {"specimen": float(trial.specimen)}

@@ -3,9 +3,8 @@
 from math import inf, isfinite
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshes.base.arrays import Array
+from meshes.base.arrays import Array, Flags
 from meshes.base.errors import InputError
 from meshes.paths.toolpath import path_distance
 from tissue.evaluation.statistics import metrics
@@ -133,7 +132,7 @@ def _pierced(run: Run) -> dict[str, float]:
     }
 
 
-def _reamed(run: Run, touching: NDArray[np.bool_]) -> dict[str, float]:
+def _reamed(run: Run, touching: Flags) -> dict[str, float]:
     """Return mean and scatter of the torque of a reamer in contact [N m]."""
     torque = np.abs(run.trace["model_torque_z_Nm"][:-1][touching])
     windows = [

@@ -18,7 +18,6 @@ from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import whole_file, write_text
 from tissue.fitting.bands.sample import (
     Ranges,
-    SobolIndices,
     normals,
     ranges_of,
     rounded,
@@ -257,7 +256,7 @@ def _samples(
     return free, values, tuple(sample_text(scene.constants, ranges.names, x) for x in values)
 
 
-def _about(ranges: Ranges, indices: SobolIndices, figures: tuple[Figure, ...]) -> Summary:
+def _about(ranges: Ranges, indices: Array, figures: tuple[Figure, ...]) -> Summary:
     """Return a summary of the constants, and of the Sobol indices by figure and group of constants.
 
     Figures that do not vary are left out.
@@ -269,15 +268,16 @@ def _about(ranges: Ranges, indices: SobolIndices, figures: tuple[Figure, ...]) -
     sobol: Summary = {}
     for column, figure in enumerate(figures):
         # a constant figure has no variance, and its indices are not finite
-        if np.isfinite(indices.total[:, column]).all():
-            sobol[".".join(figure)] = {
-                group: {
-                    "first": float(indices.first[row, column]),
-                    "first_90": indices.first_ends[:, row, column].tolist(),
-                    "total": float(indices.total[row, column]),
-                    "total_90": indices.total_ends[:, row, column].tolist(),
-                }
-                for row, group in enumerate(ranges.group_names)
+        if not np.isfinite(indices[..., column]).all():
+            continue
+        groups = sobol[".".join(figure)] = {}
+        for row, group in enumerate(ranges.group_names):
+            (first, *first_90), (total, *total_90) = indices[:, :, row, column].tolist()
+            groups[group] = {
+                "first": first,
+                "first_90": first_90,
+                "total": total,
+                "total_90": total_90,
             }
     return {"constants": constants, "sobol": sobol}
 

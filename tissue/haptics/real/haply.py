@@ -70,8 +70,6 @@ This time is longer than `AGAIN_S`, so that the attempts to reconnect end first.
 """
 AGAIN_S = 2.5
 """Longest time for attempts to reconnect to the service, for example after a restart [s]."""
-MOST_EVENTS = 100
-"""Largest number of stored events; an unstable connection would otherwise fill memory."""
 MOST_BEHIND = 20
 """Largest number of frames read at once, if the service sends more than requested."""
 OPEN_S = 2.0
@@ -217,7 +215,7 @@ class _Session:
         if problem := problem_of(self.state):
             raise InputError(problem)
         if self.state.status("in_use") is True:
-            self._log(
+            self.events.append(
                 "another program uses the device: the service adds the forces of both, close "
                 "the other"
             )
@@ -393,14 +391,16 @@ class _Session:
                     self._sample = sample
                     self._sampled_s = now
             elif not was_wrong:
-                self._log("states of the service come in a wrong order: the force is taken off")
+                self.events.append(
+                    "states of the service come in a wrong order: the force is taken off"
+                )
 
     def _release(self, why: str) -> None:
         """Remove the force, and discard a sample that may be old."""
         self._force = NOTHING
         self._sample = None
         self.releases += 1
-        self._log(why)
+        self.events.append(why)
 
     def _await_answers(self) -> None:
         """Remove the force and wait for late answers; they are not used as samples."""
@@ -443,10 +443,6 @@ class _Session:
         if self._socket is None:
             raise OSError("the session was ended")
         return self._socket
-
-    def _log(self, what: str) -> None:
-        if len(self.events) < MOST_EVENTS:
-            self.events.append(what)
 
     def _disconnect(self, *, cut: bool = False) -> None:
         """Close the connection; abort it first if the service no longer reads."""

@@ -3,13 +3,13 @@
 The packets are defined in `tissue.haptics.real.network_session`.
 """
 
-import asyncio
 import select
 import socket
 import threading
 from collections import deque
 from collections.abc import Hashable
 from contextlib import suppress
+from math import nan
 from time import perf_counter, sleep
 from typing import TYPE_CHECKING
 
@@ -18,9 +18,10 @@ from meshes.base.errors import InputError
 from meshes.base.extras import install_command
 from tissue.haptics.real.adapter import FoundDevice, HardwareAdapter, HardwareSample, checked_url
 from tissue.haptics.real.network_session import NO_WRENCH, NetworkSession
+from tissue.system.stopping import returned_within
 
 if TYPE_CHECKING:
-    from websockets.asyncio.server import ServerConnection
+    from websockets.sync.server import ServerConnection
 
     from tissue.scene.coupling import Hardware
 
@@ -41,19 +42,13 @@ A longer datagram is truncated, and rejected because of its length. A pose has 1
 """
 LOOK_S = 0.6
 """Longest time that a search waits for a device [s]; a device sends hello every 0.1 s."""
-OPEN_S = 5.0
-"""Longest time for the thread to start listening, and to end [s].
-
-The thread needs milliseconds to start, and at most three times `CLOSE_S` to end.
-"""
 LONGEST_MESSAGE = 4096
 """Size of the largest accepted message of a WebSocket [bytes]; a pose has 140 bytes."""
 CLOSE_S = 0.2
 """Longest time of each step of a close [s].
 
-There are three steps: the device receives its last packets, it ends its connection, and the
-connection is aborted. In total, the steps take less than 1 s. After this time, a run gives up a
-device that does not close.
+There are two steps: the device receives its last packets, and it ends its connection. After 1 s, a
+run gives up a device that does not close.
 """
 SEND_S = 0.25
 """Longest time in which a device may receive no packets before its connection is ended [s].
@@ -153,7 +148,7 @@ class WebTransport:
     host, port
         Address to listen on; port 0 for any free port.
     session
-        Session that receives the packets, called from the thread of this transport.
+        Session that receives the packets, called from the threads of this transport.
 
     Attributes
     ----------
@@ -168,7 +163,7 @@ class WebTransport:
 
     def __init__(self, host: str, port: int, session: NetworkSession) -> None:
         try:
-            import websockets.asyncio.server  # noqa: F401
+            from websockets.sync.server import serve
         except ImportError:
             raise InputError(
                 "websockets",
@@ -179,79 +174,14 @@ class WebTransport:
         self._session = session
         self._waiting = deque[tuple[Hashable, bytes]](maxlen=MOST_WAITING)
         self._connections: dict[Hashable, ServerConnection] = {}
-        # also connections that are not WebSockets yet
-        self._lines: dict[ServerConnection, asyncio.BaseTransport] = {}
-        self._ready = threading.Event()
+        self._news = threading.Event()
         self._came = threading.Event()
-        self._failed = list[OSError]()
-        self.port = port
-        self._loop = asyncio.new_event_loop()
-        self._stop = asyncio.Event()
-        self._news = asyncio.Event()
-        self._thread = threading.Thread(
-            target=self._run, args=(host, port), daemon=True, name="network device"
-        )
-        self._thread.start()
-        self._ready.wait(OPEN_S)
-        if self._failed:
-            raise self._failed[0]
-
-    def read(self) -> None:
-        """Do nothing, because the thread passes packets to the session."""
-
-    def wait(self, seconds: float) -> None:
-        """Wait for a message, for at most ``seconds``."""
-        self._came.wait(seconds)
-        self._came.clear()
-
-    def send(self, peer: Hashable, data: bytes) -> None:
-        """Queue a packet for the thread; it may replace an older packet that waits."""
-        self._waiting.append((peer, data))
-        with suppress(RuntimeError):  # the thread has ended
-            self._loop.call_soon_threadsafe(self._news.set)
-
-    def close(self) -> None:
-        """Send waiting packets and stop listening."""
-        with suppress(RuntimeError):
-            self._loop.call_soon_threadsafe(self._stop.set)
-        if threading.current_thread() is not self._thread:
-            self._thread.join(OPEN_S)
-
-    def _run(self, host: str, port: int) -> None:
-        try:
-            self._loop.run_until_complete(self._serve(host, port))
-        except OSError as error:
-            self._failed.append(error)
-        finally:
-            self._ready.set()
-            self._loop.close()
-
-    async def _serve(self, host: str, port: int) -> None:
-        from websockets.asyncio.server import ServerConnection, serve
-
-        lines = self._lines
-
-        class Line(ServerConnection):
-            """Connection that is registered from its first byte.
-
-            It can therefore be ended before it becomes a WebSocket.
-            """
-
-            def connection_made(self, transport: asyncio.BaseTransport) -> None:
-                """Store the connection."""
-                super().connection_made(transport)
-                lines[self] = transport
-
-            def connection_lost(self, exc: Exception | None) -> None:
-                """Remove the connection."""
-                lines.pop(self, None)
-                super().connection_lost(exc)
-
-        server = await serve(
+        self._closed = False
+        self._sending_s = nan
+        self._server = serve(
             self._talk,
             host,
             port,
-            create_connection=Line,
             open_timeout=HANDSHAKE_S,
             origins=[None],
             max_size=LONGEST_MESSAGE,
@@ -259,76 +189,78 @@ class WebTransport:
             ping_interval=None,
             close_timeout=CLOSE_S,
         )
-        self.port = next(iter(server.sockets)).getsockname()[1]
-        self._ready.set()
-        sending = asyncio.ensure_future(self._send_news())
-        await self._stop.wait()
-        sending.cancel()
-        with suppress(TimeoutError):  # a device that no longer reads
-            async with asyncio.timeout(CLOSE_S):
-                await self._send_waiting()
-        for connection, line in list(lines.items()):
-            # Connections that are not WebSockets yet can only be aborted.
-            if connection not in self._connections.values():
-                _abort(line)
-        server.close()
-        await _ended_within(CLOSE_S)
-        for line in list(lines.values()):
-            _abort(line)
-        await _ended_within(CLOSE_S)
+        self.port: int = self._server.socket.getsockname()[1]
+        self._sender = threading.Thread(target=self._send_news, daemon=True)
+        self._sender.start()
+        # the threads of connections inherit that they do not keep this program running
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
-    async def _talk(self, connection: "ServerConnection") -> None:
+    def read(self) -> None:
+        """Do nothing, because the threads pass packets to the session."""
+
+    def wait(self, seconds: float) -> None:
+        """Wait for a message, for at most ``seconds``."""
+        self._came.wait(seconds)
+        self._came.clear()
+
+    def send(self, peer: Hashable, data: bytes) -> None:
+        """Queue a packet for the sending thread; it may replace an older packet that waits."""
+        self._waiting.append((peer, data))
+        self._news.set()
+        # a device that no longer reads blocks the sending thread
+        if perf_counter() - self._sending_s > SEND_S:
+            self._cut()
+
+    def close(self) -> None:
+        """Send waiting packets and stop listening."""
+        self._closed = True
+        self._news.set()
+        self._sender.join(CLOSE_S)
+        if self._sender.is_alive():
+            self._cut()
+        returned_within(CLOSE_S, self._server.shutdown)
+        self._cut()
+
+    def _cut(self) -> None:
+        """End all connections at once, even with unsent data."""
+        for connection in list(self._connections.values()):
+            with suppress(OSError):
+                connection.socket.shutdown(socket.SHUT_RDWR)
+
+    def _talk(self, connection: "ServerConnection") -> None:
         """Receive the messages of one connection until it ends."""
         from websockets.exceptions import ConnectionClosed
 
         self._connections[connection.id] = connection
         try:
-            async for message in connection:
+            for message in connection:
                 # A text message is not a packet. It is counted as ``foreign``.
-                reply = self._session.receive(
-                    message if isinstance(message, bytes) else b"", connection.id
-                )
+                data = message if isinstance(message, bytes) else b""
+                reply = self._session.receive(data, connection.id)
                 self._came.set()
                 if reply is not None:
-                    await connection.send(reply)
+                    connection.send(reply)
         except ConnectionClosed:
             pass
         finally:
             del self._connections[connection.id]
             self._session.leave(connection.id)
 
-    async def _send_news(self) -> None:
-        while True:
-            await self._news.wait()
-            self._news.clear()
-            await self._send_waiting()
-
-    async def _send_waiting(self) -> None:
+    def _send_news(self) -> None:
+        """Send queued packets until the transport is closed."""
         from websockets.exceptions import ConnectionClosed
 
-        while self._waiting:
-            peer, data = self._waiting.popleft()
-            if (connection := self._connections.get(peer)) is not None:
-                try:
-                    async with asyncio.timeout(SEND_S):
-                        await connection.send(data)
-                except TimeoutError:  # the device no longer reads; others must not wait
-                    _abort(connection.transport)
-                except ConnectionClosed:
-                    pass
-
-
-def _abort(line: asyncio.BaseTransport) -> None:
-    """End a connection at once, even with unsent data."""
-    if isinstance(line, asyncio.WriteTransport):
-        line.abort()
-
-
-async def _ended_within(seconds: float) -> None:
-    """Wait until all other tasks of the thread have ended, for at most a number of seconds."""
-    others = asyncio.all_tasks() - {asyncio.current_task()}
-    if others:
-        await asyncio.wait(others, timeout=seconds)
+        while self._waiting or not self._closed:
+            self._news.wait()
+            self._news.clear()
+            while self._waiting:
+                peer, data = self._waiting.popleft()
+                connection = self._connections.get(peer)
+                if connection is not None:
+                    self._sending_s = perf_counter()
+                    with suppress(ConnectionClosed):
+                        connection.send(data)
+                    self._sending_s = nan
 
 
 class NetworkAdapter(HardwareAdapter):

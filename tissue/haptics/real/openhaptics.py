@@ -8,16 +8,15 @@ thread of the library and the thread of the loop share a few attributes, and eac
 replaced as a whole. The class HapticDevice of the package does not report a missing device.
 Therefore the functions of the package are called directly.
 
-All devices of a process share the scheduler of the library. The first device starts it, and the
-last one stops it. The package begins a frame for the device that is current. Each scheduled
-function therefore first makes its own device current.
+A process uses one device at a time, because the package begins each frame for the device that was
+opened last.
 """
 
 import threading
 from collections import deque
 from contextlib import redirect_stdout, suppress
 from io import StringIO
-from time import perf_counter, sleep
+from time import perf_counter
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -45,11 +44,6 @@ same time.
 """
 REST_S = 0.05
 """Longest time for the vendor's thread to play zero force at the end [s]: 50 calls."""
-ROUND_S = 5e-3
-"""Time in which the vendor's thread calls the functions of all devices at least once [s].
-
-The thread calls them a thousand times a second. Five periods allow for a busy computer.
-"""
 WINDOW = 10
 """Number of calls of the vendor's thread, 10 ms, over which velocities are computed.
 
@@ -60,9 +54,8 @@ MISSING = (
     "must be installed for a Touch device, got none. Run pip install pyOpenHaptics, "
     "and install OpenHaptics with the driver of the device from 3dsystems.com"
 )
-_OPEN: dict[int, str] = {}
-"""Names of the devices that this process has opened, keyed by the library's number."""
-_OPENING = threading.Lock()
+_OPEN: list[str] = []
+"""Name of the device that this process has opened, if any."""
 
 
 class OpenHapticsAdapter(HardwareAdapter):
@@ -97,7 +90,7 @@ class OpenHapticsAdapter(HardwareAdapter):
         The device is opened for a moment.
         """
         name = address or USUAL
-        if name in _OPEN.values():  # opening and closing it would end the run that uses it
+        if name in _OPEN:  # opening and closing it would end the run that uses it
             return [cls.found(name, "in use by this program")]
         try:
             hd = _library()[0]
@@ -114,6 +107,8 @@ class OpenHapticsAdapter(HardwareAdapter):
         """Open the device, and schedule its function in the vendor's thread."""
         hd, scheduling = _library()
         name = self._given or USUAL
+        if _OPEN:
+            raise InputError("openhaptics", "be one device in a program", name, f"close {_OPEN[0]}")
         self._sample = None
         self._taken = None
         self._problem = ""
@@ -123,13 +118,10 @@ class OpenHapticsAdapter(HardwareAdapter):
             self._hd = hd
             self._id = number
             self._ended = False
-            with _OPENING:
-                is_first = not _OPEN
-                _OPEN[number] = name
+            _OPEN.append(name)
             self._callback = scheduling.hd_callback(self._serve)
             hd.enable_force()
-            if is_first:
-                hd.start_scheduler()
+            hd.start_scheduler()
             scheduling.hdAsyncSheduler(self._callback)
 
     def poll(self) -> HardwareSample | None:
@@ -150,10 +142,7 @@ class OpenHapticsAdapter(HardwareAdapter):
         self._force = (force_N.tolist(), perf_counter())
 
     def close(self) -> None:
-        """Play zero once more in the vendor's thread, and close the device.
-
-        Closing the last device also stops this thread.
-        """
+        """Play zero once more in the vendor's thread, stop this thread and close the device."""
         if self._ended:
             return
         self._rests.clear()
@@ -161,17 +150,10 @@ class OpenHapticsAdapter(HardwareAdapter):
         hd = self._hd
         self._rests.wait(REST_S)
         self._hd = None
-        with _OPENING:
-            _OPEN.pop(self._id, None)
-            is_last = not _OPEN
-        if is_last:
+        _OPEN.clear()
+        for call in (hd.stop_scheduler, lambda: hd.close_device(self._id)):
             with suppress(Exception):
-                hd.stop_scheduler()
-        else:
-            # wait until another device is current, so that no frame begins for this device
-            sleep(ROUND_S)
-        with suppress(Exception):
-            hd.close_device(self._id)
+                call()
 
     def _serve(self) -> None:
         """Read and drive the device, in the vendor's thread.
@@ -183,11 +165,6 @@ class OpenHapticsAdapter(HardwareAdapter):
             now = perf_counter()
             if hd is None:
                 return
-            # The package begins a frame for the current device, which may be another device.
-            current = hd.get_current_device()
-            if current != self._id:
-                hd.end_frame(current)
-                hd.begin_frame(self._id)
             self._sample = self._read(hd.get_transform(), hd.get_buttons(), now)
             (force, pushed) = self._force
             ended = self._ended

@@ -1,13 +1,9 @@
 """Still pictures of a run."""
 
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tissue.scene.registry import ANATOMIES
-from tissue.system.offscreen import end_drawing
 
 if TYPE_CHECKING:
     from tissue.simulation.run import Run
@@ -20,7 +16,7 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
 
     ``force_torque`` is drawn for every run. The other pictures depend on the run:
 
-    - ``bone_before_after`` and ``removed_depth`` for a tissue of voxels,
+    - ``bone_before_after`` for a tissue of voxels,
     - ``section`` and ``force_depth`` for a rotating tool in voxels of several layers, if the
       tissue, such as a tooth, adds its own values to the trace,
     - ``section`` also for a scene with structures to keep clear of,
@@ -32,14 +28,11 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
     -------
     One sentence for each picture that could not be drawn.
     """
-    import matplotlib.figure  # noqa: F401  here, for two threads must not import modules that import each other
-
-    from tissue.show.figures.bone_pictures import draw_before_after, draw_removed_depth
+    from tissue.show.figures.bone_pictures import draw_before_after
     from tissue.show.figures.force_depth import draw_force_depth, draw_insertion, draw_wall
     from tissue.show.figures.force_time import draw_force_torque, draw_played
     from tissue.show.figures.organ_pictures import draw_held, draw_press
     from tissue.show.figures.section import draw_section
-    from tissue.simulation.bone_surface import depth_map
 
     folder.mkdir(parents=True, exist_ok=True)
 
@@ -49,24 +42,15 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
     scene = run.scene
     parts = run.parts
     fields = parts.fields
-    depth = None if parts.volume is None else depth_map(run)
     notes: dict[str, str | None] = {}
-    with _background() as pool:
-        if depth is not None:
-            shaded = pool.submit(draw_before_after, run, depth, path("bone_before_after"))
-            draw_removed_depth(run, depth, path("removed_depth"))
-            has_measures = len(parts.tissue.layer_names) > 1 and parts.tissue.measure_names
-            # a tool that does not rotate removes nothing, so its section would show nothing new
-            is_drilled = bool(has_measures) and run.cutter.spin_rad_s != 0.0
-            if is_drilled or parts.keep_clear is not None:
-                draw_section(run, path("section"))
-            if is_drilled:
-                notes["force_depth"] = draw_force_depth(run, path("force_depth"))
-            notes["bone_before_after"] = shaded.result()
-        elif fields is not None and fields.frames:
-            shaded = pool.submit(draw_held, run, path("held"))
-            notes["press"] = draw_press(run, path("press"))
-            notes["held"] = shaded.result()
+    if parts.volume is not None:
+        has_measures = len(parts.tissue.layer_names) > 1 and parts.tissue.measure_names
+        # a tool that does not rotate removes nothing, so its section would show nothing new
+        is_drilled = bool(has_measures) and run.cutter.spin_rad_s != 0.0
+        if is_drilled or parts.keep_clear is not None:
+            draw_section(run, path("section"))
+        if is_drilled:
+            notes["force_depth"] = draw_force_depth(run, path("force_depth"))
     draw_force_torque(run, path("force_torque"))
     if scene.device is not None:
         draw_played(run, path("played"))
@@ -75,20 +59,12 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
     )
     for name, draw in {**built_in, **ANATOMIES[scene.anatomy.kind].pictures}.items():
         draw(run, path(Path(name).stem))
+    # another process renders in 3D, which takes longest and may fail
+    if parts.volume is not None:
+        notes["bone_before_after"] = draw_before_after(run, path("bone_before_after"))
+    elif fields is not None and fields.frames:
+        notes["press"] = draw_press(run, path("press"))
+        notes["held"] = draw_held(run, path("held"))
     return [
         f"{name}.{kind} was not drawn: {note}" for name, note in notes.items() if note is not None
     ]
-
-
-@contextmanager
-def _background() -> Iterator[ThreadPoolExecutor]:
-    """Provide a thread that renders in 3D.
-
-    An exception in the block ends the drawing process, and so does not wait for the thread.
-    """
-    with ThreadPoolExecutor(1) as thread:
-        try:
-            yield thread
-        except BaseException:
-            end_drawing()
-            raise

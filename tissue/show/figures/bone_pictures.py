@@ -1,13 +1,12 @@
-"""Figures of carved bone: before and after in 3D, and the map of removed depth."""
+"""Figure of carved bone, before and after a run."""
 
 from dataclasses import replace
-from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from meshes.base.arrays import Array, Bytes, Flags
+from meshes.base.arrays import Bytes, Flags
 from meshes.voxels.volume import VoxelVolume
 from tissue.scene.tool import Tool
 from tissue.show.figures.figure import (
@@ -17,21 +16,18 @@ from tissue.show.figures.figure import (
     axis_names,
     depth_limit,
     draw_arrow,
-    draw_outline,
     halo,
     layer_colours,
-    panelled,
-    save,
-    styled,
 )
 from tissue.show.figures.rendering import Camera, Shaded, draw_axes, draw_shaded, paint
 from tissue.show.figures.section import plane_of
-from tissue.show.figures.tool_mesh import pose, spin_arc_mm, tool_turns
+from tissue.show.figures.tool_mesh import pose, spin_arc_mm
 from tissue.simulation.bone_surface import (
     HALF,
     DepthMap,
     bone_surface,
     cut_out,
+    depth_map,
     smooth_normals,
     triangle_means,
     with_depth,
@@ -42,10 +38,9 @@ from tissue.simulation.run import Run
 
 if TYPE_CHECKING:
     import pyvista
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
 
-__all__ = ["draw_before_after", "draw_removed_depth"]
+__all__ = ["draw_before_after"]
 
 
 Plane = tuple[int, float]
@@ -71,7 +66,7 @@ WIDEST_ARC = 0.4
 """Largest width of the arrow around the tool's axis, relative to the height of the picture."""
 
 
-def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
+def draw_before_after(run: Run, path: Path) -> str | None:
     """Draw the bone before the run, coloured by layer, and after it, coloured by removed depth.
 
     Both pictures have the same camera. For a deep and narrow cut, only the half of the bone behind
@@ -81,6 +76,7 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
     -------
     None, or the reason why the picture could not be drawn.
     """
+    depth = depth_map(run)
     volume, remaining, plane = _opened(run, depth)
     # a surface is drawn where voxels are half full
     if min(int(volume.fraction.max()), int(remaining.max())) < HALF:
@@ -120,7 +116,8 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
 
         present = np.unique(volume.layer[volume.fraction >= HALF])
         kinds = {"not cut": BONE}
-        if is_end.any():
+        facing = triangle_means(after.point_data["Normals"], after.regular_faces)
+        if (facing[is_end] @ shaded.cameras[0].towards_eye > 0.0).any():
             kinds["edge of the\nsimulated region"] = CUT_OUT
         named = {volume.layer_names[index]: tuple(ends[index]) for index in present}, kinds
         chart = shaded.chart
@@ -144,7 +141,9 @@ def draw_before_after(run: Run, depth: DepthMap, path: Path) -> str | None:
 
     opened = "" if plane is None else f", cut open at {'xyz'[plane[0]]} = {plane[1]:.2f} mm"
     part = "region around the tool, " if is_end.any() else ""
-    names = [f"{part}{when}{opened}" for when in ("before", "after")]
+    cut_mm2 = 1e6 * volume.spacing_m**2 * np.count_nonzero(depth.depth_mm >= UNCUT * limit)
+    summary = f"{limit:.2f} mm deep, {cut_mm2:.3g} mm²" if depth.depth_mm.any() else "not cut"
+    names = [f"{part}before{opened}", f"after: {summary}{opened}"]
     return draw_shaded(make, path, annotate, margins_px=HEIGHTS_PX, names=names)
 
 
@@ -200,7 +199,7 @@ def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
     tool = run.scene.tool
     assert isinstance(tool, Tool)
     row = int((run.trace["contact_mm2"] > 0.0).argmax())
-    matrix = pose(run.trace.vectors("tool", "mm")[row], tool_turns(run.trace)[row])
+    matrix = pose(run.trace.vectors("tool", "mm")[row], run.trace.quaternions()[row])
     share = min(1.0, WIDEST_ARC * camera.height_mm / tool.diameter_mm)
     axes.set_autoscale_on(False)
     arc = camera.pixels(share * spin_arc_mm(tool) @ matrix[:3, :3].T + matrix[:3, 3])
@@ -210,80 +209,3 @@ def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
     x, y = arc[np.argmin(arc[:, 1])]
     # 8 pixels above the arc
     axes.text(x, y - 8.0, "spin", ha="center", va="bottom", size=9, path_effects=halo())
-
-
-EXPOSED: tuple[Any, ...] = ("--", ":", "-.")
-"""Line styles around the layers that a run exposed."""
-SMALL = 0.5
-AROUND = 0.4
-"""Margin around a small cut in an enlarged map, relative to the longer side of the cut.
-
-A cut is small if its extent along both axes is at most `SMALL` times the extent of the region. The
-map of a larger cut shows the whole region.
-"""
-
-
-def shown_mm(depth: DepthMap) -> Array:
-    """Return the drawn extent of the map of removed depth [mm], shape (2, 2).
-
-    The rows are the lowest and the highest coordinate along the two axes of the map. The extent is
-    the whole region, or the surroundings of a small cut.
-    """
-    low, high = whole = np.reshape(depth.extent_mm, (2, 2)).T
-    cut = np.argwhere(depth.depth_mm > 0.0)
-    if not len(cut):
-        return whole
-    edge = (high - low) / depth.depth_mm.shape
-    first = low + edge * cut.min(axis=0)
-    last = low + edge * (cut.max(axis=0) + 1)
-    if (last - first > SMALL * (high - low)).any():
-        return whole
-    around = AROUND * (last - first).max()
-    return np.clip([first - around, last + around], low, high)
-
-
-@styled
-def draw_removed_depth(run: Run, depth: DepthMap, path: Path) -> None:
-    """Draw a map of the removed depth over the face of the bone that the tool enters."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    low, high = shown_mm(depth)
-    wide, tall = high - low
-    spacing = run.volume.spacing_m * 1e3
-    # a hundredth of a voxel: smaller depths are steps of a fraction's byte
-    least = 0.01 * spacing
-    cut = depth.depth_mm[depth.depth_mm >= least]
-    summary = "nothing removed"
-    if cut.size:
-        summary = (
-            f"removed depth, peak {cut.max():.2f} mm, median {np.median(cut):.2f} mm over "
-            f"{cut.size * spacing**2:.3g} mm²"
-        )
-    # the map is at most 6 inches wide and 6.4 tall; the rest of the figure holds colour bar and
-    # legend
-    tall_in = tall * min(6.0 / wide, 6.4 / tall)
-    chart, (axes,) = panelled(
-        f"{run.scene.name}: {summary}", (8.0, tall_in + 1.35), layout="compressed"
-    )
-    placed = {"origin": "lower", "extent": depth.extent_mm, "interpolation": "nearest"}
-    ground = np.where(depth.bone[..., None], BONE, 1.0)
-    axes.imshow(ground.swapaxes(0, 1), **placed)
-    shown = np.ma.masked_less(depth.depth_mm, least).T
-    image = axes.imshow(shown, cmap=DEPTH_COLOURS, vmin=0.0, vmax=depth_limit(depth), **placed)
-    chart.colorbar(image, ax=axes, label="removed depth / mm")
-    draw_outline(axes, depth.bone, depth.extent_mm, color="0.15", linewidth=1.0)
-    handles: list[Artist] = [
-        Patch(facecolor=BONE, label="not cut", **EDGE),
-        Line2D([], [], color="0.15", linewidth=1.0, label="bone in the simulated region"),
-    ]
-    for (name, mask), dashes in zip(depth.exposed.items(), cycle(EXPOSED), strict=False):
-        # white under black keeps the outline of a layer visible on dark depths
-        draw_outline(axes, mask, depth.extent_mm, color="white", linewidth=2.6)
-        look = {"color": "black", "linewidth": 1.3, "linestyle": dashes}
-        draw_outline(axes, mask, depth.extent_mm, **look)
-        handles.append(Line2D([], [], label=f"{name} laid bare", **look))
-    x, y = (f"{axis_names(run)[axis]} / mm" for axis in depth.across)
-    axes.set(xlabel=x, ylabel=y, xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-    chart.legend(handles=handles, loc="outside lower center", ncols=4)
-    save(chart, path)

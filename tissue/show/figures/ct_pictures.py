@@ -1,24 +1,24 @@
 """Figures of a CT import: slices, histogram, bone, organ and the depth of a path."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import cycle, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Flags, Ints, lattice
+from meshes.base.arrays import Array, Flags, Ints
 from meshes.ct.density import DensityLaw
+from meshes.ct.extraction import cropped
 from meshes.ct.inspection import Histogram
-from meshes.images.frame import Image, part_of
+from meshes.images.frame import Image
 from meshes.paths.toolpath import PathDepth
 from meshes.surfaces.surface import Surface
 from meshes.tets.tetrahedra import TetMesh
-from meshes.voxels.mesh_sampling import triangle_distance
-from tissue.show.figures.figure import BONE, draw_arrow, panelled, save, styled
+from tissue.show.figures.figure import BONE, draw_arrow, panelled, plain, save, styled
 from tissue.show.figures.rendering import Camera, Shaded, draw_axes, draw_shaded, paint
 
 if TYPE_CHECKING:
@@ -27,13 +27,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Marks",
-    "depth_below",
     "draw_ct_bone",
     "draw_ct_histogram",
     "draw_ct_organ",
     "draw_ct_slices",
     "draw_path_depth",
+    "mesh_of",
     "middle_of",
+    "outline_of",
 ]
 
 BONE_HU = (-200.0, 1300.0)
@@ -110,7 +111,7 @@ class Marks:
 def draw_ct_slices(
     image: Image,
     path: Path,
-    outlines: Mapping[str, Image],
+    outlines: "Mapping[str, pyvista.PolyData]",
     marks: Marks,
     *,
     window_HU: tuple[float, float] = BONE_HU,
@@ -122,15 +123,14 @@ def draw_ct_slices(
     image
         Grey values around the bone.
     outlines
-        Image of each structure to outline, keyed by name; the bone comes first. The values of each
-        image are positive inside its structure and negative outside. Each image has the voxel grid
-        of `image`, but may cover only a part of this grid.
+        Surface [mm, LPS] of each structure to outline, keyed by name; the bone comes first.
     marks
         Site and path to mark. The slices intersect at `marks.centre_mm`.
     window_HU
         Hounsfield units that are drawn black and white. An image in other units uses the range of
         its own values.
     """
+    from matplotlib.collections import LineCollection
     from matplotlib.lines import Line2D
 
     assert marks.centre_mm is not None
@@ -142,8 +142,8 @@ def draw_ct_slices(
     hounsfield = float(image.values.min()) < -100.0
     # 1 and 99.8 %: a few bright voxels, such as metal, do not darken the image
     low, high = window_HU if hounsfield else np.percentile(image.values, (1, 99.8))
-    looks: list[dict[str, Any]] = [{"color": BODY, "linestyle": "solid"}]
-    looks += [{"color": colour, "linestyle": line} for line, colour in product(LINES, OTHERS)]
+    styles = [(BODY, "solid"), *((colour, line) for line, colour in product(LINES, OTHERS))]
+    looks = [{"color": colour, "linestyle": line} for colour, line in styles]
     # inches: three near square panels, and the legend below
     chart, panels = panelled(image.source, (9.0, 3.9), 1, 3, layout="compressed")
     for axes, (u, v, through, name) in zip(panels, VIEWS, strict=True):
@@ -159,8 +159,10 @@ def draw_ct_slices(
             interpolation="nearest",
         )
         place = float(origin[through] + spacing[through] * at[through])
-        for field, look in zip(outlines.values(), cycle(looks), strict=False):
-            _outline(axes, field, (u, v, through), place, look)
+        for outline, look in zip(outlines.values(), cycle(looks), strict=False):
+            cut = outline.slice(normal="xyz"[through], origin=[place] * 3)
+            lines = np.asarray(cut.points)[cut.lines.reshape(-1, 3)[:, 1:]]
+            axes.add_collection(LineCollection(list(lines[..., plane]), linewidths=1.1, **look))
         marks.draw(axes, partial(np.take, indices=plane, axis=1), NORMAL_MM)
         axes.set(xlabel=f"{AXES[u]} [mm]", ylabel=f"{AXES[v]} [mm]", aspect="equal")
         # The arrow of a site at the edge of the image, and its path, lie outside of it.
@@ -182,25 +184,22 @@ def draw_ct_slices(
     save(chart, path)
 
 
-def _outline(
-    axes: "Axes", field: Image, order: tuple[int, int, int], place_mm: float, look: dict[str, str]
-) -> None:
-    """Draw the line where a field is 0, in the slice at a given coordinate."""
-    through = order[2]
-    at = round((place_mm - field.origin_mm[through]) / field.spacing_mm[through])
-    # the slice lies outside the extent of the structure's image
-    if not 0 <= at < field.values.shape[through]:
-        return
-    values = np.take(field.values, at, axis=through).T
-    x, y = (
-        field.origin_mm[a] + field.spacing_mm[a] * np.arange(field.values.shape[a])
-        for a in order[:2]
+def mesh_of(vertices_mm: Array, faces: Ints) -> "pyvista.PolyData":
+    """Return a surface for pyvista from vertices [mm], shape (n, 3), and faces, shape (m, 3)."""
+    import pyvista
+
+    return pyvista.PolyData.from_regular_faces(vertices_mm, faces.astype(int))
+
+
+def outline_of(image: Image, mask: Flags) -> "pyvista.PolyData":
+    """Return the surface [mm, LPS] around the voxels of an image that a mask contains."""
+    import pyvista
+
+    grid = pyvista.ImageData(
+        dimensions=mask.shape, spacing=image.spacing_mm, origin=image.origin_mm
     )
-    # a slice next to the structure has no line, and contour() would warn
-    if values.min() < 0.0 < values.max():
-        axes.contour(
-            x, y, values, [0.0], colors=look["color"], linestyles=look["linestyle"], linewidths=1.1
-        )
+    grid.point_data["inside"] = mask.ravel(order="F").astype(np.uint8)
+    return grid.contour([0.5], scalars="inside")
 
 
 AROUND_ORGAN_MM = 10.0
@@ -221,42 +220,16 @@ def draw_ct_organ(image: Image, path: Path, *, masks: Mapping[str, Flags], mesh:
         Tetrahedra of the organ in the frame of the image.
     """
     organ, *parts = masks
-    spacing = np.array(image.spacing_mm)
-    origin = np.array(image.origin_mm)
     nodes_mm = 1e3 * mesh.nodes_m
-    low = np.floor((nodes_mm.min(axis=0) - AROUND_ORGAN_MM - origin) / spacing).clip(0)
-    high = np.ceil((nodes_mm.max(axis=0) + AROUND_ORGAN_MM - origin) / spacing) + 1
-    high = np.minimum(high, image.values.shape)
-    part = tuple(map(slice, low.astype(int).tolist(), high.astype(int).tolist()))
-    around = part_of(image, part)
+    low = (nodes_mm.min(axis=0) - AROUND_ORGAN_MM).tolist()
+    high = (nodes_mm.max(axis=0) + AROUND_ORGAN_MM).tolist()
     # a slice through the organ's middle might miss a small part
     smallest = min(parts or [organ], key=lambda name: int(np.count_nonzero(masks[name])))
-    middle = middle_of(image, masks[smallest])
-    outlines = {f"{organ}, meshed": depth_below(mesh.nodes_m, mesh.surface, around)}
-    for name in parts:
-        # outlines are drawn at 0, halfway between inside and outside
-        outlines[name] = replace(around, values=masks[name][part] - np.float32(0.5))
-    draw_ct_slices(around, path, outlines, Marks(middle), window_HU=SOFT_HU)
-
-
-def depth_below(vertices_m: Array, faces: Ints, image: Image) -> Image:
-    """Return the depth [m] of each voxel of an image below a closed surface, negative outside it.
-
-    Depths are exact inside the bounding box of the surface and up to two voxels outside the box.
-    Elsewhere the depth is -1 m. These depths suffice to draw an outline at depth 0.
-    """
-    axes = [
-        o + s * np.arange(n)
-        for o, s, n in zip(image.origin_mm, image.spacing_mm, image.values.shape, strict=True)
-    ]
-    grid = lattice(*axes)
-    low = 1e3 * vertices_m.min(axis=0)
-    high = 1e3 * vertices_m.max(axis=0)
-    around = 2.0 * max(image.spacing_mm)
-    near = ((grid > low - around) & (grid < high + around)).all(axis=1)
-    depth = np.full(len(grid), -1.0, dtype=np.float32)
-    depth[near] = -triangle_distance(vertices_m, faces, 1e-3 * grid[near])
-    return replace(image, values=depth.reshape(image.values.shape))
+    outlines = {f"{organ}, meshed": mesh_of(nodes_mm, mesh.surface)}
+    outlines |= {name: outline_of(image, masks[name]) for name in parts}
+    marks = Marks(middle_of(image, masks[smallest]))
+    around = cropped(image, (tuple(low), tuple(high)))
+    draw_ct_slices(around, path, outlines, marks, window_HU=SOFT_HU)
 
 
 def middle_of(image: Image, mask: Flags) -> Array:
@@ -267,7 +240,6 @@ def middle_of(image: Image, mask: Flags) -> Array:
 
 HEAD_PX = 110
 FOOT_PX = 150
-PATH_FOOT_PX = 330
 AXES_PX = 150
 """Heights above and below the renderings, and size of the small axes [pixels]."""
 UNDER_MM = 2.0
@@ -307,10 +279,10 @@ def draw_ct_bone(
     -------
     None, or the reason why the picture could not be drawn.
     """
-    mesh = _painted(surface, density)
     eyes = _eyes(marks.normal)
 
     def make() -> "list[tuple[pyvista.PolyData, Camera]]":
+        mesh = _painted(surface, density)
         return [(mesh, Camera.seeing(mesh.points, eye, up)) for eye, up in eyes.values()]
 
     def annotate(shaded: Shaded) -> None:
@@ -351,12 +323,10 @@ def _eyes(normal: Array | None) -> dict[str, tuple[Array, Array]]:
 
 def _painted(surface: Surface, density: Image | None) -> "pyvista.PolyData":
     """Return the bone; the colour of each point shows the density below the point."""
-    import pyvista
     from matplotlib import colormaps
     from scipy.ndimage import map_coordinates
 
-    mesh = pyvista.PolyData.from_regular_faces(1e3 * surface.vertices_m, surface.faces.astype(int))
-    mesh = mesh.compute_normals(split_vertices=False)
+    mesh = mesh_of(1e3 * surface.vertices_m, surface.faces).compute_normals(split_vertices=False)
     if density is None:
         return paint(mesh, np.tile(BONE, (mesh.n_points, 1)))
     points = np.asarray(mesh.points) - UNDER_MM * np.asarray(mesh.point_data["Normals"])
@@ -368,90 +338,19 @@ def _painted(surface: Surface, density: Image | None) -> "pyvista.PolyData":
     )
 
 
-OUTSIDE = "0.45"
-PATH_COLOURS = "inferno_r"
-AROUND_PATH_MM = 40.0
-"""Smallest half width of the bone that is shown around a path [mm]."""
-
-
-def draw_path_depth(surface: Surface, found: PathDepth, path: Path, *, normal: Array) -> str | None:
-    """Draw a path on a bone, seen along the normal of the site and from the side.
-
-    Parameters
-    ----------
-    surface
-        Surface of the bone, in the frame of the image.
-    found
-        Points of the path and their depths; see `meshes.paths.toolpath.depth_along`.
-    path
-        File to write.
-    normal
-        Outward direction at the site, shape (3,).
-
-    Returns
-    -------
-    None, or the reason why the picture could not be drawn.
-    """
-    points = found.points_mm
-    # 0.7 of the longest extent leaves a margin around the path; the cube's half edge is 0.6 of it,
-    # as the camera adds a border
-    half = max(AROUND_PATH_MM, 0.7 * float(np.ptp(points, axis=0).max()))
-    corners = points.mean(axis=0) + 0.6 * half * lattice(*[[-1.0, 1.0]] * 3)
-    mesh = _painted(surface, None)
-    eyes = _eyes(normal)
-
-    def make() -> "list[tuple[pyvista.PolyData, Camera]]":
-        return [(mesh, Camera.seeing(corners, eye, up)) for eye, up in eyes.values()]
-
-    def annotate(shaded: Shaded) -> None:
-        from matplotlib import colormaps
-        from matplotlib.collections import LineCollection
-
-        middle = 0.5 * (found.depth_mm[1:] + found.depth_mm[:-1])
-        # a path outside of the bone has no depth, and a share of it needs a divisor
-        deepest = max(found.deepest_mm, 1e-6)
-        # the first 15 % of the colour map are too light on bone
-        shades = colormaps[PATH_COLOURS](0.15 + 0.85 * np.clip(middle / deepest, 0.0, 1.0))
-        inside = middle > 0.0
-
-        def add_line(axes: "Axes", line: Array) -> None:
-            pieces = np.stack([line[:-1], line[1:]], axis=1)
-            axes.add_collection(
-                LineCollection(list(pieces[~inside]), colors=OUTSIDE, linewidths=1.1)
-            )
-            axes.add_collection(
-                LineCollection(list(pieces[inside]), colors=shades[inside], linewidths=2.2)
-            )
-
-        for axes, camera in zip(shaded.panels, shaded.cameras, strict=True):
-            add_line(axes, camera.pixels(points))
-        wide, tall = shaded.size_px
-        draw_axes(
-            shaded.chart.add_axes((0.02, 0.02, AXES_PX / wide, AXES_PX / tall)),
-            AXES,
-            shaded.cameras[0],
-        )
-        # the triad in the lower left corner, the depth over path length to the right of it
-        low = shaded.chart.add_axes(
-            (0.2, 0.32 * PATH_FOOT_PX / tall, 0.75, 0.55 * PATH_FOOT_PX / tall)
-        )
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-        low.axhline(0.0, color="0.3", linewidth=0.8)
-        add_line(low, np.column_stack([along, found.depth_mm]))
-        low.autoscale_view()
-        low.margins(x=0.0)
-        low.invert_yaxis()
-        low.set(xlabel="path length [mm]", ylabel="depth [mm]")
-        low.set_title(f"deepest {found.deepest_mm:.1f} mm", loc="right", size=9)
-
-    return draw_shaded(
-        make,
-        path,
-        annotate,
-        margins_px=(HEAD_PX, PATH_FOOT_PX),
-        title=surface.report.source,
-        names=list(eyes),
-    )
+@styled
+def draw_path_depth(found: PathDepth, path: Path, *, title: str) -> None:
+    """Draw the depth of a path below the surface of a bone over the length of the path."""
+    chart, (axes,) = panelled(title, (6.4, 3.0))
+    steps_mm = np.linalg.norm(np.diff(found.points_mm, axis=0), axis=1)
+    along_mm = np.concatenate([[0.0], np.cumsum(steps_mm)])
+    axes.axhline(0.0, color="0.3", linewidth=0.8, label="surface")
+    axes.plot(along_mm, found.depth_mm, color=PATH, label="path of the tip")
+    axes.invert_yaxis()
+    axes.set(xlabel="path length [mm]", ylabel="depth [mm]")
+    axes.set_title(f"deepest {found.deepest_mm:.1f} mm", loc="right")
+    plain([axes])
+    save(chart, path)
 
 
 ALL = "0.6"

@@ -3,23 +3,20 @@
 from collections.abc import Callable, Iterable
 from functools import wraps
 from pathlib import Path
-from threading import RLock
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from meshes.base.arrays import Array, Flags
 from meshes.base.whole_file import whole_file
 from tissue.simulation.saved_fields import field_label
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
     from matplotlib.patheffects import AbstractPathEffect
-    from matplotlib.typing import LineStyleType, RcKeyType
+    from matplotlib.typing import RcKeyType
 
     from tissue.simulation.bone_surface import DepthMap
     from tissue.simulation.run import Run
@@ -29,12 +26,10 @@ __all__ = [
     "COMPONENTS",
     "DEPTH_COLOURS",
     "DPI",
-    "DRAWING",
     "EDGE",
     "axis_names",
     "depth_limit",
     "draw_arrow",
-    "draw_outline",
     "field_colours",
     "field_words",
     "figure",
@@ -71,8 +66,6 @@ STYLE: "dict[RcKeyType, float]" = {
     "legend.handlelength": 1.6,
     "lines.linewidth": 1.2,
 }
-DRAWING = RLock()
-"""Lock during the drawing of a picture, because matplotlib has one style for all threads."""
 
 
 def styled(draw: Callable[P, T]) -> Callable[P, T]:
@@ -82,7 +75,7 @@ def styled(draw: Callable[P, T]) -> Callable[P, T]:
     def drawn(*arguments: P.args, **options: P.kwargs) -> T:
         import matplotlib
 
-        with DRAWING, matplotlib.rc_context(STYLE):
+        with matplotlib.rc_context(STYLE):
             return draw(*arguments, **options)
 
     return drawn
@@ -125,10 +118,10 @@ def panelled(
     return chart, chart.subplots(rows, columns, squeeze=False, **options).ravel()
 
 
-def legend_above(axes: "Axes", columns: int, handles: "list[Artist] | None" = None) -> None:
+def legend_above(axes: "Axes", columns: int) -> None:
     """Put the legend of a panel above the panel."""
     # shares of the panel: on its upper edge, flush with its left one
-    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=columns)
+    axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=columns)
 
 
 @styled
@@ -293,31 +286,6 @@ def depth_limit(depth: "DepthMap") -> float:
     cut = depth.depth_mm[depth.depth_mm > 0.0]
     # a colour scale needs a range: 1 um for rounding, and 1 mm without a cut
     return float(max(cut.max(), 1e-3)) if cut.size else 1.0
-
-
-def draw_outline(
-    axes: "Axes",
-    values: Array | Flags,
-    extent: tuple[float, float, float, float],
-    *,
-    color: str,
-    linewidth: float,
-    linestyle: "LineStyleType" = "-",
-) -> None:
-    """Draw the contour at 0.5 of a map of values from 0 to 1, closed at the edge of the map."""
-    # nothing is inside
-    if values.max(initial=0) < 0.5:
-        return
-    ends = zip(extent[::2], extent[1::2], values.shape, strict=True)
-    u, v = (
-        # centres of the columns, and of one more at each end, which closes the line at the edge
-        low + (high - low) / count * (np.arange(-1, count + 1) + 0.5)
-        for low, high, count in ends
-    )
-    padded = np.pad(values, 1).T.astype(float)
-    axes.contour(
-        u, v, padded, levels=[0.5], colors=[color], linewidths=[linewidth], linestyles=[linestyle]
-    )
 
 
 def draw_arrow(

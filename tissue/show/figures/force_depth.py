@@ -21,7 +21,6 @@ from tissue.show.figures.figure import (
     styled,
 )
 from tissue.show.figures.force_time import FLICKER_S, spells
-from tissue.show.figures.tool_mesh import tool_turns
 from tissue.simulation.bone_surface import HALF, facing, tool_axes
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.run import Run
@@ -117,20 +116,13 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
         sharex=True,
         height_ratios=heights,
     )
-    turns = tool_axes(tool_turns(trace)[rows])
+    turns = tool_axes(trace.quaternions()[rows])
     model = trace.vectors("model_force", "N")[rows]
-    # the commanded force, which vibrates, is pale and thin, so that it does not hide the model's
-    for force, alpha, width in ((trace.vectors("force", "N")[rows], 0.35, 0.8), (model, 1.0, 1.4)):
-        size = np.linalg.norm(force, axis=1)
-        along = np.einsum("ij,ij->i", force, turns)
-        look = {"alpha": alpha, "linewidth": width}
-        panels[0].plot(depth, size, color="0.1", label="magnitude", **look)
-        label = "along the tool's axis, outward"
-        panels[0].plot(
-            depth, along, color=COMPONENTS[0], linestyle=(0, (4, 2)), label=label, **look
-        )
-    pale = "pale: as commanded, after low-pass and vibration"
-    panels[0].plot([], [], color="0.4", linewidth=3.2, alpha=0.35, label=pale)
+    size = np.linalg.norm(model, axis=1)
+    along = np.einsum("ij,ij->i", model, turns)
+    panels[0].plot(depth, size, color="0.1", label="magnitude")
+    label = "along the tool's axis, outward"
+    panels[0].plot(depth, along, color=COMPONENTS[0], linestyle=(0, (4, 2)), label=label)
     panels[0].set_ylabel("force / N")
     for axes, names in zip(panels[1:], measures.values(), strict=True):
         for name, colour in zip(names, ("0.1", *COMPONENTS, "#CC79A7"), strict=False):
@@ -138,13 +130,12 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
         axes.set_ylabel(field_words(*names).replace(" / ", "\n/ "))
         if len(names) > 1:
             axes.legend(ncols=len(names), loc="best")
-    _shade(run, panels, depth, passed, np.linalg.norm(model, axis=1))
+    _shade(run, panels, depth, passed, size)
     plain(panels)
     panels[-1].set_xlim(depth[0], depth[-1])
     panels[-1].set_xlabel("depth of the tool's tip below the surface / mm")
     chart.align_ylabels(panels)
-    # the lines drawn last: magnitude and axial force of the model, and the entry of the pale lines
-    legend_above(panels[0], 2, panels[0].lines[2:5])
+    legend_above(panels[0], 2)
     save(chart, path)
     return None
 

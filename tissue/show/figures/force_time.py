@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tissue.haptics.device.device import device_parameters
 from tissue.models.tissue_model import TICK_S
 from tissue.show.figures.figure import (
     COMPONENTS,
@@ -20,7 +19,6 @@ from tissue.show.figures.figure import (
     styled,
     torque_unit,
 )
-from tissue.show.figures.tool_mesh import tool_turns
 from tissue.simulation.bone_surface import tool_axes
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.run import Run
@@ -210,7 +208,7 @@ def _draw_path(axes: "Axes", run: Run) -> None:
     """Draw the tip position along the tool's axis, and shade the layer of largest contact."""
     trace = run.trace
     time = trace["time_s"]
-    turned = tool_axes(tool_turns(trace))
+    turned = tool_axes(trace.quaternions())
     axes.plot(time, (trace.vectors("tool", "mm") * turned).sum(axis=1), color="0.1")
     axes.set(ylabel="tip along\nits axis / mm", xlabel="time / s")
     colours = layer_colours(trace.layer_names)
@@ -265,7 +263,6 @@ def draw_played(run: Run, path: Path) -> None:
     held = run.scene.held
     time = trace["time_s"]
     scale = chosen_scale(run.scene).factor
-    limit_N = device_parameters(held.kind, run.scene.constants).force_limit_N
     turns = bool(trace.vectors("device_torque", "Nm").any())
     # inches: the whole run, its steepest moment, the positions, and the torque if there is any
     heights = (2.4, 2.0, 1.5, 1.2)[: 3 + turns]
@@ -305,11 +302,6 @@ def draw_played(run: Run, path: Path) -> None:
             zorder=0,
             label="compressed into the device's range",
         )
-    # the line of the limit far above the forces would flatten them
-    if sizes["device_force"].max() > 0.5 * limit_N:
-        label = f"largest force of the {held.kind}, {limit_N:g} N"
-        # solid, because the commanded force is dashed
-        panels[0].axhline(limit_N, color="0.2", linewidth=1.0, label=label)
     panels[0].axvspan(time[moment][0], time[moment][-1], color="0.85", linewidth=0.0, zorder=0)
     panels[1].set_title("the steepest moment, grey above", loc="left")
     apart = np.abs(trace.vectors("tool", "mm") - trace.vectors("device", "mm")).max(axis=0)

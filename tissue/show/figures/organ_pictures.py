@@ -24,7 +24,7 @@ from tissue.show.figures.rendering import (
     draw_shaded,
     paint,
 )
-from tissue.show.figures.tool_mesh import pose, row_at, tool_surface, tool_turns
+from tissue.show.figures.tool_mesh import pose, row_at, tool_surface
 from tissue.simulation.run import Run
 from tissue.simulation.saved_fields import IN_MM, field_limits, field_values
 from tissue.simulation.trace import Table
@@ -127,7 +127,7 @@ def draw_press(run: Run, path: Path) -> str | None:
             organs.append(body.append_polydata(*outline) if outline else body)
         tool = tool_surface(run.scene.tool) or pyvista.PolyData()
         if tool.n_points:
-            tool = tool.transform(pose(tip_mm, tool_turns(trace)[row]), inplace=False)
+            tool = tool.transform(pose(tip_mm, trace.quaternions()[row]), inplace=False)
             # a needle is several times as long as an organ is high
             if along_needle:
                 low, high = organs[0].bounds[4:]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Bytes
-from tissue.show.figures.figure import DPI, DRAWING, draw_arrow, figure, halo, save
+from tissue.show.figures.figure import DPI, draw_arrow, figure, halo, save
 from tissue.system.offscreen import draw_apart
 
 if TYPE_CHECKING:
@@ -44,8 +44,6 @@ ALL_LIGHT = 1.08
 
 A field has little shade, because its colours must agree with its scale.
 """
-LIGHTS = (((-0.6, 0.7, 0.9), 0.74), ((0.9, 0.1, 0.7), 0.26), ((0.1, -0.9, 0.55), 0.34))
-"""Direction (right, up, towards the eye) and strength of the lights: key, fill and rim light."""
 
 
 @dataclass(frozen=True)
@@ -191,38 +189,33 @@ def draw_shaded(
     tall = max(len(picture) for picture in pictures) // OVERSAMPLING
     wide = pictures[0].shape[1] // OVERSAMPLING
     size = len(pictures) * (wide + GAP_PX) - GAP_PX, tall + head + foot
-    with DRAWING:
-        chart = figure(size[0] / DPI, size[1] / DPI)
-        panels = []
-        for index, (picture, camera) in enumerate(zip(pictures, cameras, strict=True)):
-            high = len(picture) // OVERSAMPLING
-            left = index * (wide + GAP_PX)
-            low = foot + tall - high
-            axes = chart.add_axes((left / size[0], low / size[1], wide / size[0], high / size[1]))
-            ends = (-0.5, wide - 0.5, high - 0.5, -0.5)
-            axes.imshow(picture, interpolation="antialiased", extent=ends)
-            axes.set_axis_off()
-            _draw_scale(axes, camera)
-            panels.append(axes)
-        for axes, name in zip(panels, names, strict=False):
-            axes.set_title(name, size=10)
-        # 38 pixels below the upper edge, above the titles of the panels; lower with a second line
-        middle = 38 + 8 * title.count("\n")
-        chart.text(0.5, 1.0 - middle / size[1], title, ha="center", va="center", size=11)
-        annotate(Shaded(chart, panels, cameras, size))
-        save(chart, path)
+    chart = figure(size[0] / DPI, size[1] / DPI)
+    panels = []
+    for index, (picture, camera) in enumerate(zip(pictures, cameras, strict=True)):
+        high = len(picture) // OVERSAMPLING
+        left = index * (wide + GAP_PX)
+        low = foot + tall - high
+        axes = chart.add_axes((left / size[0], low / size[1], wide / size[0], high / size[1]))
+        ends = (-0.5, wide - 0.5, high - 0.5, -0.5)
+        axes.imshow(picture, interpolation="antialiased", extent=ends)
+        axes.set_axis_off()
+        _draw_scale(axes, camera)
+        panels.append(axes)
+    for axes, name in zip(panels, names, strict=False):
+        axes.set_title(name, size=10)
+    # 38 pixels below the upper edge, above the titles of the panels; lower with a second line
+    middle = 38 + 8 * title.count("\n")
+    chart.text(0.5, 1.0 - middle / size[1], title, ha="center", va="center", size=11)
+    annotate(Shaded(chart, panels, cameras, size))
+    save(chart, path)
     return None
 
 
 def _main(name: str, ambient: str) -> None:
     """Render the surfaces from standard input, and write the pictures into a folder."""
-    import pyvista
+    # pyvista is loaded while the surfaces are still being made
+    import pyvista  # noqa: F401
 
-    # loads OpenGL while the surfaces are still being made
-    warm = pyvista.Plotter(off_screen=True, window_size=[8, 8])
-    warm.add_mesh(pyvista.Triangle())
-    warm.screenshot(None, return_img=True)
-    warm.close()
     received = pickle.load(sys.stdin.buffer)
     drawn = [_draw(surface, Camera(**camera), float(ambient)) for surface, camera in received]
     np.savez(Path(name) / "pictures.npz", *drawn, allow_pickle=False)
@@ -233,7 +226,7 @@ def _draw(mesh: "pyvista.PolyData", camera: Camera, ambient: float) -> Bytes:
     import pyvista
 
     window = [OVERSAMPLING * pixels for pixels in camera.size]
-    plotter = pyvista.Plotter(off_screen=True, window_size=window, lighting="none")
+    plotter = pyvista.Plotter(off_screen=True, window_size=window)
     plotter.disable_anti_aliasing()
     plotter.background_color = pyvista.Color("white")
     mesh.point_data.active_normals_name = "Normals"
@@ -250,13 +243,10 @@ def _draw(mesh: "pyvista.PolyData", camera: Camera, ambient: float) -> Bytes:
         specular_power=12.0,
         show_scalar_bar=False,
     )
-    towards, up, centre = map(np.array, (camera.towards_eye, camera.up, camera.centre_mm))
-    axes = np.stack([np.cross(up, towards), up, towards])
-    for direction, strength in LIGHTS:
-        # a metre away: lamps and eye are outside of every object, which is some centimetres large
-        place = centre + 1e3 * np.array(direction) @ axes
-        plotter.add_light(pyvista.Light(place, centre, intensity=strength))
-    plotter.camera_position = [centre + 1e3 * towards, centre, up]
+    # a metre away: the eye is outside of every object, which is some centimetres large
+    centre = np.array(camera.centre_mm)
+    eye = centre + 1e3 * np.array(camera.towards_eye)
+    plotter.camera_position = [eye, centre, camera.up]
     plotter.camera.parallel_projection = True
     plotter.camera.parallel_scale = 0.5 * camera.height_mm
     # from the eye, which is 1 m before the centre, to 1 m behind it [mm]

@@ -2,8 +2,8 @@
 to keep clear of.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,20 +12,17 @@ import numpy as np
 from meshes.base.arrays import Array, Bytes
 from meshes.voxels.volume import FULL
 from tissue.fem.fields import FieldSeries, Frame
-from tissue.models.keep_clear import Distance
-from tissue.models.tissue_model import TICK_S
 from tissue.scene.anatomy import Tooth
 from tissue.show.figures.figure import (
     EDGE,
     axis_names,
-    draw_outline,
     halo,
     layer_colours,
     panelled,
     save,
     styled,
 )
-from tissue.show.figures.tool_mesh import row_at, tool_turns
+from tissue.show.figures.tool_mesh import row_at
 from tissue.simulation.bone_surface import HALF, facing, tool_axes
 from tissue.simulation.run import Run
 
@@ -48,11 +45,6 @@ LAYERS_APART_MM = 1e4
 DECADES = 3.0
 """Largest span of a logarithmic scale [decades]; over more decades, neighbouring values look the
 same.
-"""
-PROJECTED_MM = 0.02
-"""Smallest difference between a distance and its drawn length that the legend mentions [mm].
-
-The legend states distances to 0.01 mm.
 """
 
 
@@ -185,8 +177,7 @@ def draw_section(run: Run, path: Path) -> None:
     series = run.parts.fields
     row, frame = moment_of(run)
     section = section_of(run, row)
-    kept = nearest_places(run)
-    window = kept_window(kept, section)
+    window = shown_mm(run, section)
     u0, u1, v0, v1 = window
     shape = (v1 - v0) / (u1 - u0)
     # inches: two panels and a colour bar, or one panel of at most 5.2 in both directions
@@ -207,10 +198,10 @@ def draw_section(run: Run, path: Path) -> None:
         sharey=True,
     )
     _draw_layers(panels[0], run, section)
-    structures = draw_kept_clear(panels[0], kept, window, section)
+    structures = draw_kept_clear(panels[0], run, window, section)
     panels[0].set_ylabel(f"{y} / mm")
     panels[0].set_title("layers and removed tissue")
-    handles = _handles(run, section, borders=frame is not None)
+    handles = _handles(run, section)
     chart.legend(handles=[*handles, *structures], loc="outside lower center", ncols=4)
     if series is not None and frame is not None:
         drawn = _draw_stress(panels[1], series, frame, section)
@@ -237,7 +228,10 @@ def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
         interpolation="nearest",
     )
     gone = _removed(section)
-    draw_outline(axes, gone, section.extent_mm, color="black", linewidth=1.1)
+    # contour() would warn without a contour
+    if gone.max() > 0.5 > gone.min():
+        look: dict[str, Any] = {"colors": "black", "linewidths": 1.1, "origin": "lower"}
+        axes.contour(gone.T, [0.5], extent=section.extent_mm, **look)
 
 
 def _removed(section: Section) -> Array:
@@ -254,7 +248,7 @@ def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
     """Draw the outline of the tool at the shown time, and the path of its tip so far."""
     plane = list(section.axes[:2])
     tips = run.trace.vectors("tool", "mm")[: section.row + 1, plane]
-    along = tool_axes(tool_turns(run.trace))[section.row, plane]
+    along = tool_axes(run.trace.quaternions())[section.row, plane]
     # a tool at right angles to the section has no direction in it
     along = along / max(float(np.hypot(*along)), 1e-9)
     side = np.array([along[1], -along[0]])
@@ -267,9 +261,7 @@ def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
 
 
 def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Section) -> "AxesImage":
-    """Draw the von Mises stress of the remaining tissue on a logarithmic scale, and the edges of
-    the layers.
-    """
+    """Draw the von Mises stress of the remaining tissue on a logarithmic scale."""
     from matplotlib.colors import LogNorm
 
     stress = _section_stress(series, frame, section)
@@ -280,9 +272,6 @@ def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Secti
     # a logarithmic scale needs a range above zero, even without stress
     peak = max(float(peak), 1e-9)
     scale = LogNorm(float(np.clip(low, peak * 10.0**-DECADES, 0.1 * peak)), peak)
-    for index in np.unique(section.layer[there]):
-        left = there & (section.layer == index)
-        draw_outline(axes, left, section.extent_mm, color="0.55", linewidth=0.7)
     # a logarithm needs positive values; the scale begins far above 1e-12 MPa
     picture = np.ma.masked_where(~there, np.maximum(stress, 1e-12))
     return axes.imshow(
@@ -320,7 +309,7 @@ def _section_stress(series: FieldSeries, frame: Frame, section: Section) -> Arra
     return np.asarray(values[there[cKDTree(known).query(places)[1]]])
 
 
-def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
+def _handles(run: Run, section: Section) -> "list[Artist]":
     """Return legend entries for the layers and the marks of the section."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -329,7 +318,7 @@ def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
     seen = np.unique(section.layer[section.start >= HALF / FULL])
     removed = np.unique(section.layer[_removed(section) >= HALF / FULL])
     colours = layer_colours(names)
-    handles: list[Artist] = [
+    return [
         *(Patch(facecolor=colours[names[i]], label=names[i], **EDGE) for i in seen),
         *(
             Patch(
@@ -343,130 +332,74 @@ def _handles(run: Run, section: Section, *, borders: bool) -> "list[Artist]":
         Line2D([], [], label="tool", **TOOL),
         Line2D([], [], color=PATH, linewidth=1.0, label="path of its tip (projected)"),
     ]
-    if borders:
-        label = "edges of the layers that are left"
-        handles.append(Line2D([], [], color="0.55", linewidth=0.7, label=label))
-    return handles
 
 
-Window = tuple[float, float, float, float]
-"""Lowest and highest coordinate along the axes u and v of a section, (u0, u1, v0, v1) [mm]."""
 STRUCTURES = ("#D55E00", "#0072B2", "#009E73", "#000000")
 """Colours of structures after Okabe and Ito (2008)."""
 AROUND_MM = 3.0
-"""Margin beyond the nearest point of a structure that is shown [mm]."""
+"""Margin around the tissue in which structures are shown, beyond their distance [mm]."""
 ACROSS = 200
 """Number of points along each side of the section at which the distance is computed."""
-STEP_M = 1e-5
-"""Step of the finite differences for the gradient of a distance [m]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Nearest:
-    """Smallest distance between the tool and a structure.
+def distances_to_structures(run: Run) -> dict[str, float]:
+    """Return the smallest distance between the tool and each structure to keep clear of [mm].
 
-    Attributes
-    ----------
-    name, distance
-        Name of the structure, and function that computes the distance of points from the structure.
-    tool_mm, structure_mm
-        Points of tool and structure that come nearest to each other [mm], shape (3,).
-    least_mm
-        Distance between these two points [mm], negative if the tool is inside the structure.
-    until_s
-        Time at which the tool left the simulated region [s]; later ticks do not count. None if the
-        tool did not leave the region.
+    A distance is negative if the tool was inside the structure. As in the summary of the run, ticks
+    after the tool left the simulated region do not count.
     """
-
-    name: str
-    distance: Distance
-    tool_mm: Array
-    structure_mm: Array
-    least_mm: float
-    until_s: float | None = None
-
-
-def nearest_places(run: Run) -> list[Nearest]:
-    """Return the smallest distance between the tool and each structure to keep clear of.
-
-    As in the summary of the run, ticks after the tool left the simulated region do not count.
-    """
-    from scipy.spatial.transform import Rotation
-
     clear = run.parts.keep_clear
-    trace = run.trace
-    found: list[Nearest] = []
-    if clear is None:
-        return found
-    end = run.parts.region_end
-    until_s = None if end is None else end.left_s
-    # the distance in the tick in which the tool leaves the region still counts
-    ticks = len(trace.rows) if until_s is None else round(until_s / TICK_S) + 1
-    for name, distance in clear.distances.items():
-        row = int(np.argmin(trace[f"distance_{name}_mm"][:ticks]))
-        turn = Rotation.from_quat(tool_turns(trace)[row])
-        body_m = 1e-3 * trace.vectors("tool", "mm")[row] + turn.apply(np.asarray(clear.points_m))
-        point = body_m[int(np.argmin(distance(body_m)))]
-        steps = np.vstack([np.zeros(3), STEP_M * np.eye(3), -STEP_M * np.eye(3)])
-        values = np.asarray(distance(point + steps), dtype=np.float64)
-        slope = (values[1:4] - values[4:]) / (2.0 * STEP_M)
-        # the gradient of a distance is zero where two places are equally near
-        on_surface = point - values[0] * slope / max(float(np.linalg.norm(slope)), 1e-9)
-        least = float(trace[f"distance_{name}_mm"][row])
-        found.append(Nearest(name, distance, 1e3 * point, 1e3 * on_surface, least, until_s))
-    return found
+    found = {} if clear is None else clear.summary()
+    return {name: float(each["least_distance_mm"]) for name, each in found.items()}
 
 
-def kept_window(places: Sequence[Nearest], section: Section) -> Window:
-    """Return an extent [mm] around the tissue of a section and the nearest point of each structure.
+def shown_mm(run: Run, section: Section) -> tuple[float, float, float, float]:
+    """Return the drawn extent of a section, (u0, u1, v0, v1) [mm].
 
-    Without structures, the extent is that of the whole section.
+    Without structures, the extent is that of the whole section. Otherwise it is the extent of the
+    tissue with a margin, in which the structures near the tool are visible.
     """
     tissue = np.argwhere(section.start > 0.0)
-    u0, u1, v0, v1 = section.extent_mm
-    if not places or not len(tissue):
+    distances_mm = distances_to_structures(run).values()
+    if not distances_mm or not len(tissue):
         return section.extent_mm
-    edge = np.array([u1 - u0, v1 - v0]) / section.start.shape
-    points = np.array(
-        [
-            *((u0, v0) + edge * (tissue.min(axis=0), tissue.max(axis=0) + 1)),
-            *(place.structure_mm[list(section.axes[:2])] for place in places),
-        ]
-    )
-    low = points.min(axis=0) - AROUND_MM
-    high = points.max(axis=0) + AROUND_MM
+    u0, u1, v0, v1 = section.extent_mm
+    size = np.array([u1 - u0, v1 - v0])
+    edge = size / section.start.shape
+    around = AROUND_MM + np.clip(max(distances_mm), 0.0, size.max())
+    low = (u0, v0) + edge * tissue.min(axis=0) - around
+    high = (u0, v0) + edge * (tissue.max(axis=0) + 1) + around
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
 def draw_kept_clear(
-    axes: "Axes", places: Sequence[Nearest], window: Window, section: Section
+    axes: "Axes", run: Run, window: tuple[float, float, float, float], section: Section
 ) -> "list[Artist]":
-    """Draw structures in a section and return legend entries with the smallest distances.
+    """Draw structures in a section and return legend entries with the smallest distances."""
+    from matplotlib.patches import Patch
 
-    A line between two dots joins the nearest points of tool and structure, projected onto the
-    section.
-    """
+    clear = run.parts.keep_clear
+    if clear is None:
+        return []
     across, axis, _ = section.axes
     u, v = (np.linspace(window[k], window[k + 1], ACROSS) for k in (0, 2))
-    points = np.full((ACROSS, ACROSS, 3), section.place_mm)
-    points[..., across] = u[None, :]
-    points[..., axis] = v[:, None]
+    points_mm = np.full((ACROSS, ACROSS, 3), section.place_mm)
+    points_mm[..., across] = u[None, :]
+    points_mm[..., axis] = v[:, None]
+    end = run.parts.region_end
+    until = "" if end is None or end.left_s is None else f",\nup to {end.left_s:.3f} s"
     handles: list[Artist] = []
-    for number, place in enumerate(places):
-        colour = STRUCTURES[number % len(STRUCTURES)]
-        depth = np.asarray(place.distance(1e-3 * points.reshape(-1, 3))).reshape(ACROSS, ACROSS)
+    for (name, least_mm), colour in zip(
+        distances_to_structures(run).items(), cycle(STRUCTURES), strict=False
+    ):
+        depth = np.asarray(clear.distances[name](1e-3 * points_mm.reshape(-1, 3)))
+        depth = depth.reshape(ACROSS, ACROSS)
         # the section does not meet the structure otherwise, and contour() would warn
         if depth.min() < 0.0 < depth.max():
             axes.contourf(u, v, depth, [float(depth.min()), 0.0], colors=[colour], alpha=0.15)
             axes.contour(u, v, depth, [0.0], colors=[colour], linewidths=[1.6])
-        side = "away" if place.least_mm >= 0.0 else "inside"
-        ends = np.array([place.tool_mm, place.structure_mm])[:, [across, axis]]
+        side = "away" if least_mm >= 0.0 else "inside"
         # a single line would be wider than the picture
-        label = f"{place.name}: smallest distance\nof the tool, {abs(place.least_mm):.2f} mm {side}"
-        # the nearest points may lie outside of the plane of the section
-        if abs(place.least_mm) - np.linalg.norm(ends[1] - ends[0]) > PROJECTED_MM:
-            label += " (projected)"
-        if place.until_s is not None:
-            label += f",\nup to {place.until_s:.3f} s"
-        handles += axes.plot(*ends.T, "o-", color=colour, markersize=3.5, label=label)
+        label = f"{name}: smallest distance\nof the tool, {abs(least_mm):.2f} mm {side}{until}"
+        handles.append(Patch(facecolor=colour, alpha=0.4, label=label))
     return handles

@@ -27,7 +27,6 @@ __all__ = [
     "row_at",
     "spin_arc_mm",
     "tool_surface",
-    "tool_turns",
     "turning_tool",
 ]
 
@@ -136,11 +135,6 @@ def row_at(trace: "Table", time_s: float) -> int:
     times = trace["time_s"]
     # times from files are rounded: a tick at the moment itself counts
     return int(np.clip(np.searchsorted(times, time_s - 1e-9), 0, len(times) - 1))
-
-
-def tool_turns(trace: "Table") -> Array:
-    """Return the tool's orientations in a trace as quaternions (x, y, z, w), shape (rows, 4)."""
-    return trace.quaternions()
 
 
 def _rod(radius_mm: float, length_mm: float, *, point_mm: float = 0.0) -> "pyvista.PolyData":

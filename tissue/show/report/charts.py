@@ -31,38 +31,22 @@ STEPS = 255
 """Number of steps of a colour: one byte, as many as a screen shows."""
 
 
-def packed(values: NDArray[np.integer[Any]], *, differences: bool = True) -> Record:
+def packed(values: NDArray[np.integer[Any]]) -> Record:
     """Encode an array of integers, shape (rows,) or (rows, columns), as compressed text.
 
-    Integers of 8 bits are unsigned. Integers of 16 and 32 bits are signed.
-
-    By default, the differences between consecutive rows are encoded. A difference that does not fit
-    into the bytes of an integer is wrapped around. Negative differences become odd numbers and the
-    others even numbers (zigzag code). The high bytes of small differences are therefore 0. Before
-    the compression, bytes are ordered by significance: the lowest bytes of all integers come first,
-    column by column.
+    Integers of 8 bits are unsigned. Integers of 16 and 32 bits are signed. The differences between
+    consecutive rows are encoded, column by column. A difference that does not fit into the bytes of
+    an integer is wrapped around.
     """
     rows = values if values.ndim == 2 else values[:, None]
-    size = rows.dtype.itemsize
-    whole = rows.astype(f"i{size}").astype(np.int64)
-    if differences:
-        step = np.diff(whole, axis=0, prepend=0).astype(f"i{size}").astype(np.int64)
-        # the sign moves to the lowest bit (zigzag)
-        whole = (step << 1) ^ (step >> 63)
-    planes = (
-        np.ascontiguousarray(whole.astype(f"<u{size}").T)
-        .reshape(-1)
-        .view(np.uint8)
-        .reshape(-1, size)
-        .T
-    )
+    steps = np.diff(rows, axis=0, prepend=np.zeros((1, rows.shape[1]), rows.dtype)).T
+    little = np.ascontiguousarray(steps, dtype=rows.dtype.newbyteorder("<"))
     return {
         "rows": rows.shape[0],
         "columns": rows.shape[1],
-        "kind": f"{rows.dtype.kind}{size}",
-        "differences": differences,
+        "kind": f"{rows.dtype.kind}{rows.dtype.itemsize}",
         # 9 is the smallest output; a report is written once and sent on
-        "data": b64encode(zlib.compress(np.ascontiguousarray(planes).tobytes(), 9)).decode("ascii"),
+        "data": b64encode(zlib.compress(little.tobytes(), 9)).decode("ascii"),
     }
 
 
@@ -95,25 +79,10 @@ def packed_shares(values: ArrayLike) -> Record:
     )
 
 
-def packed_mesh(points_mm: ArrayLike, triangles: ArrayLike) -> tuple[Record, NDArray[np.intp]]:
-    """Encode a surface; also return the indices of its points in the order of encoding.
-
-    Unused points are left out. Points are in the order in which triangles first use them. A corner
-    of a triangle is encoded as the number of points that earlier corners use, minus the index of
-    its point. A point that is used for the first time therefore has the code 0.
-    """
-    corners = np.asarray(triangles, dtype=np.intp).reshape(-1, 3).ravel()
-    used, first, at = np.unique(corners, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
-    named = place[at.reshape(-1)]
-    unnamed = np.maximum.accumulate(np.concatenate([[-1], named]))[:-1] + 1
-    record = {
-        "points": packed_vectors(np.asarray(points_mm, dtype=np.float64)[used[order]]),
-        "corners": packed((unnamed - named).astype(np.int32)[:, None], differences=False),
-    }
-    return record, used[order]
+def packed_mesh(points_mm: ArrayLike, triangles: ArrayLike) -> Record:
+    """Encode a surface with points, shape (n, 3), and indices of its triangles, shape (m, 3)."""
+    corners = np.asarray(triangles, dtype=np.int32).reshape(-1, 3)
+    return {"points": packed_vectors(np.asarray(points_mm)), "corners": packed(corners)}
 
 
 PLAYED = {"raw_force": "renderer's", "device_force": "played by the device"}

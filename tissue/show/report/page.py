@@ -66,22 +66,35 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
     force = summary["force_N"]
     torque = summary["torque_Nm"]
     tick = summary["tick_us"]
+    left_s = summary.get("left_region_s")
     rows = [("simulated", f"{summary['simulated_s']:g} s")]
     if summary["cuts"]:
         start = summary["start_mm3"]
+        valid = "" if left_s is None else f" (not valid after {left_s:.3f} s)"
         rows += [
             # The rest of the bone is not simulated, so its volume is not known.
-            (f"removed {layer}", f"{removed:.3g} of the simulated {start[layer]:.4g} mm³")
+            (f"removed {layer}", f"{removed:.3g} of the simulated {start[layer]:.4g} mm³{valid}")
             for layer, removed in summary["removed_mm3"].items()
             if start[layer] > 0.0
         ]
     until = ""
-    if (left_s := summary.get("left_region_s")) is not None:
+    if left_s is not None:
         until = f" (up to {left_s:.3f} s; the tool then left the simulated region)"
     rows += [
-        (f"smallest distance to {name}", f"{each['least_distance_mm']:.3g} mm{until}")
+        (
+            f"smallest distance to {name}",
+            f"{each['least_distance_mm']:.3g} mm{_margin_text(each)}{until}",
+        )
         for name, each in summary.get("keep_clear", {}).items()
     ]
+    if (rise := summary.get("largest_rise")) is not None:
+        rising = ", still rising at the end" if rise["rising_at_end"] else ""
+        rows.append(
+            (
+                f"largest temperature rise of the {rise['tissue']}",
+                f"{rise['rise_K']:.2f} K at {rise['time_s']:.3g} s{rising}",
+            )
+        )
     if (apart := summary.get("path_distance_mm")) is not None:
         rows.append(
             (
@@ -116,6 +129,15 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
         ),
         *solves,
     ]
+
+
+def _margin_text(kept: Summary) -> str:
+    """Return whether a tool kept the margin of a structure; empty without a margin."""
+    if "margin_mm" not in kept:
+        return ""
+    if (first_s := kept["first_below_margin_s"]) is None:
+        return f", margin of {kept['margin_mm']:g} mm kept"
+    return f", closer than the margin of {kept['margin_mm']:g} mm from {first_s:.3f} s"
 
 
 def assessment_section(lines: Sequence[str], picture: bytes, text: Text) -> str:

@@ -7,16 +7,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import to_hex
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
 from tissue.show.figures.figure import BONE, COMPONENTS, DEPTH_COLOURS, field_colours, layer_colours
 from tissue.show.figures.organ_surface import with_normals
-from tissue.show.figures.tool_mesh import faces_of, tool_turns, turning_tool
+from tissue.show.figures.tool_mesh import faces_of, turning_tool
 from tissue.show.report.charts import Record, packed, packed_mesh, packed_shares, packed_vectors
-from tissue.show.viewer.saved_surfaces import bone_of, cut_plane, saved_fields, tool_force
+from tissue.show.viewer.saved_surfaces import (
+    Plane,
+    bone_of,
+    cut_plane,
+    saved_fields,
+    tool_force,
+)
 from tissue.simulation.run_folder import SavedRun, saved_placement
 from tissue.simulation.saved_fields import SavedFields, field_label, field_values
 from tissue.simulation.trace import Table
@@ -38,33 +44,15 @@ The browser interpolates between the poses.
 """
 MOST_POINTS = 3000
 """Largest number of points of the drawn path, more than a screen has pixels across."""
+MOST_MOMENTS = 40
+"""Largest number of times at which the bone of an incomplete run is shown.
+
+The report contains a surface of the carved bone for each of these times.
+"""
 LONGEST = 0.3
 """Ratio of the length of the arrow of the largest force to the size of the touched object."""
-
-
-class Shown:
-    """Surfaces over time, and their colour scales.
-
-    Attributes
-    ----------
-    parts
-        Records of surfaces with their times.
-    scales
-        Records of colour scales.
-    points_mm
-        Points that must be in view [mm], shape (n, 3).
-    """
-
-    def __init__(self) -> None:
-        self.parts: list[Record] = []
-        self.scales: list[Record] = []
-        self.points_mm: Array = np.zeros((0, 3))
-
-    def see(self, points: Any) -> None:
-        """Add the lowest and the highest corner of the box around points [mm] to `points_mm`."""
-        points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-        if len(points):
-            self.points_mm = np.vstack([self.points_mm, points.min(axis=0), points.max(axis=0)])
+UNCUT = 0.02
+"""Removed depth, relative to the deepest cut, below which bone counts as uncut."""
 
 
 def stage(saved: SavedRun) -> Record:
@@ -76,51 +64,49 @@ def stage(saved: SavedRun) -> Record:
     the row of the largest force (``peak_row``).
     """
     scene = saved.scene
+    trace = saved.trace if saved.trace is not None and len(saved.trace.rows) else None
+    bone = list(_bone_moments(saved))
     fields = saved_fields(saved)
-    groups: dict[str, Shown] = {}
-    if (bone := bone_shown(saved)) is not None:
-        groups["bone"] = bone
-    if fields is not None:
-        groups["field"] = fields_shown(fields, cut_plane(saved, fields))
-    parts = [part for shown in groups.values() for part in shown.parts]
-    around = Shown()
-    faces = faces_of(scene)
-    # faces are translucent, since the tool passes through them
-    for name, colour in layer_colours(tuple(faces)).items():
-        parts.append(
-            {**_still(faces[name]), "colour": to_hex(colour), "opacity": 0.4, "label": name}
-        )
-        around.see(faces[name].points)
     record: Record = {
-        "parts": parts,
-        "scales": [scale for shown in groups.values() for scale in shown.scales],
+        "parts": [],
+        "scales": [],
         "open": scene is not None and not isinstance(scene.tool, Probe),
     }
-    if saved.trace is not None and len(saved.trace.rows):
-        first = next(iter(groups.values()), around)
-        size_mm = float(
-            np.linalg.norm(np.ptp(np.vstack([np.zeros((1, 3)), first.points_mm]), axis=0))
-        )
-        _add_tool(record, saved.trace, scene, around, size_mm=size_mm)
-    seen = {
-        name: np.vstack([shown.points_mm, around.points_mm])
-        for name, shown in (groups or {"": around}).items()
-    }
-    return {**record, "bounds": {name: _ends(points) for name, points in seen.items()}}
+    seen: dict[str, list[Array]] = {}
+    if bone:
+        seen["bone"] = _add_bone(record, bone)
+    if fields is not None:
+        _add_fields(record, fields, cut_plane(saved, fields))
+        seen["field"] = [np.asarray(fields.frames[0].points)]
+    touched = next(iter(seen.values()), [np.zeros((1, 3))])
+    size_mm = float(np.linalg.norm(np.ptp(np.vstack(touched), axis=0)))
+    around: list[Array] = []
+    # faces are translucent, since the tool passes through them
+    for name, face in faces_of(scene).items():
+        colour = to_hex(layer_colours((name,))[name])
+        record["parts"].append({**_still(face), "colour": colour, "opacity": 0.4, "label": name})
+        around.append(np.asarray(face.points))
+    if trace is not None:
+        around += _add_tool(record, trace, scene, size_mm=size_mm)
+    groups = seen or {"": []}
+    record["bounds"] = {name: _ends([*points, *around]) for name, points in groups.items()}
+    return record
 
 
-def _ends(points_mm: Array) -> list[list[float]]:
+def _ends(points_mm: list[Array]) -> list[list[float]]:
     """Return the lowest and highest corner around points."""
     # nothing is shown, so any box is valid
-    if not len(points_mm):
+    if not points_mm:
         return [[-1.0] * 3, [1.0] * 3]
-    return [points_mm.min(axis=0).tolist(), points_mm.max(axis=0).tolist()]
+    points = np.vstack(points_mm)
+    return [points.min(axis=0).tolist(), points.max(axis=0).tolist()]
 
 
-def _add_tool(
-    record: Record, trace: Table, scene: Scene | None, around: Shown, *, size_mm: float
-) -> None:
-    """Add tool and device with their poses, the path of the tip, and the force arrow."""
+def _add_tool(record: Record, trace: Table, scene: Scene | None, *, size_mm: float) -> list[Array]:
+    """Add tool and device with their poses, the path of the tip, and the force arrow.
+
+    The points that must be in view are returned [mm].
+    """
     import pyvista
 
     tips = trace.vectors("tool", "mm")
@@ -129,7 +115,7 @@ def _add_tool(
     poses = {
         "rows": rows.tolist(),
         "tool": packed_vectors(tips[rows]),
-        "turns": packed_vectors(tool_turns(trace)[rows]),
+        "turns": packed_vectors(trace.quaternions()[rows]),
     }
     followers: list[tuple[str, Any, str, float, str]] = []
     if "device_x_mm" in trace and scene is not None:
@@ -146,7 +132,6 @@ def _add_tool(
             look = {"follows": follows, "colour": colour, "opacity": opacity, "label": label}
             record["parts"].append({**_still(shape), **look})
     path = tips[np.unique(np.linspace(0, len(tips) - 1, MOST_POINTS).astype(int))]
-    around.see(path)
     line = {"line": packed_vectors(path), "colour": PATH, "label": "path of the tip"}
     record["parts"].append(line)
     # at least 0.3 mm long in a run without tissue
@@ -154,13 +139,12 @@ def _add_tool(
     force = tool_force(trace)
     row = int(np.linalg.norm(force, axis=1).argmax())
     largest = float(np.linalg.norm(force[row]))
+    record["poses"] = poses
+    record["force"] = {"largest_N": largest, "longest_mm": longest}
+    record["peak_row"] = row
     # a run without force has an arrow of no length
-    around.see([tips[row], tips[row] + longest * force[row] / max(largest, 1e-9)])
-    record |= {
-        "poses": poses,
-        "force": {"largest_N": largest, "longest_mm": longest},
-        "peak_row": row,
-    }
+    end = tips[row] + longest * force[row] / max(largest, 1e-9)
+    return [path, np.stack([tips[row], end])]
 
 
 def _still(surface: "pyvista.PolyData") -> Record:
@@ -169,158 +153,124 @@ def _still(surface: "pyvista.PolyData") -> Record:
     The two sides of an edge have separate points.
     """
     surface = with_normals(surface.triangulate())
-    mesh, _ = packed_mesh(surface.points, surface.regular_faces)
+    mesh = packed_mesh(surface.points, surface.regular_faces)
     return {"times": [0.0], "meshes": [mesh], "frames": [{"mesh": 0}], "smooth": True}
 
 
-MOST_MOMENTS = 40
-"""Largest number of times at which the bone of an incomplete run is shown.
-
-The report contains a surface of the bone for each of these times.
-"""
-
-
-def bone_shown(saved: SavedRun) -> Shown | None:
-    """Return the surfaces of the bone at the saved times; None for a run without bone.
-
-    They can be coloured by removed depth and by layer.
-    """
-    moments = list(_bone_moments(saved))
-    if not moments:
-        return None
-    surfaces = [surface for _, _, surface in moments]
-    deepest = max(
-        (float(one.point_data["removed_depth_mm"].max(initial=0.0)) for one in surfaces),
-        default=0.0,
-    )
-    names = next((list(one.field_data["layer_names"]) for one in surfaces if one.n_cells), [])
-    shown = Shown()
-    layers = sorted(
-        {int(layer) for one in surfaces for layer in np.unique(one.cell_data.get("layer", []))}
-    )
-    if deepest > 0.0:
-        # a run without a cut is shown by layer only
-        shown.scales.append({**depth_scale(deepest), "group": "bone", "on": "points"})
-    shown.scales.append({**layer_scale(names, layers), "group": "bone", "on": "cells"})
-    for part in (False, True):
-        taken = [(time_s, surface) for time_s, is_rest, surface in moments if is_rest is part]
-        if taken:
-            shown.parts.append(
-                # uncut bone has depth 0, and a share of it needs a divisor
-                {"group": "bone", "smooth": True, **_moments_of_bone(taken, max(deepest, 1e-9))}
-            )
-    for surface in surfaces:
-        shown.see(surface.points)
-    return shown
-
-
 def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
-    """Return time [s], kind and surface [mm] of each surface.
+    """Yield time [s], kind and surface [mm] of each surface of the bone.
 
-    The kind is True for the part of the bone that no cut changes.
+    The kind is True for the part of the bone that no cut changes. Without the recorded surfaces,
+    which are coarser than the voxels, the cuts are replayed.
     """
     import pyvista
 
-    placement = saved_placement(saved.path)
     index = saved.path / "carving.pvd"
     whole = saved.path / "bone.vtp"
     if saved.complete and (index.is_file() or whole.is_file()):
+        placement = saved_placement(saved.path)
         entries = read_collection(index) if index.is_file() else [(0.0, 0, "bone.vtp")]
         read: dict[str, Any] = {}
         for time_s, part, name in entries:
             # a surface that does not change is listed at every moment
-            if name in read:
-                continue
-            read[name] = mesh_in_scene(pyvista.read(saved.path / name), placement)
-            yield time_s, part == 1, read[name]
+            if name not in read:
+                read[name] = mesh_in_scene(pyvista.read(saved.path / name), placement)
+                yield time_s, part == 1, read[name]
         return
     bone = bone_of(saved, saved.scene)
     if bone is None:
         return
     yield 0.0, True, bone.rest(bone.layers)
     times = np.zeros(1) if saved.trace is None else saved.trace["time_s"]
-    for tick in np.unique(
-        np.linspace(0, max(len(times) - 1, 0), MOST_MOMENTS).astype(int)
-    ).tolist():
+    last = max(len(times) - 1, 0)
+    for tick in np.unique(np.linspace(0, last, MOST_MOMENTS).astype(int)).tolist():
         # moments without a change are left out, except the first
         if bone.at(tick) or tick == 0:
             yield float(times[tick]), False, bone.cut(bone.layers)
 
 
-def _moments_of_bone(moments: Sequence[tuple[float, Any]], deepest_mm: float) -> Record:
-    meshes: list[Record] = []
-    frames: list[Record] = []
-    for _, surface in moments:
-        # an empty surface has no array of shape (n, 3)
-        triangles = surface.regular_faces if surface.n_cells else np.zeros((0, 3), dtype=int)
-        mesh, order = packed_mesh(surface.points, triangles)
-        depth = np.asarray(surface.point_data["removed_depth_mm"])[order] / deepest_mm
-        layer = np.asarray(surface.cell_data["layer"], dtype=np.uint8)
-        frames.append({"mesh": len(meshes), "depth": packed_shares(depth), "layer": packed(layer)})
-        meshes.append(mesh)
-    return {"times": [time_s for time_s, _ in moments], "meshes": meshes, "frames": frames}
+def _add_bone(record: Record, moments: list[tuple[float, bool, Any]]) -> list[Array]:
+    """Add the surfaces of the bone over time; return the points that must be in view [mm].
 
-
-def fields_shown(fields: SavedFields, plane: tuple[Any, Any]) -> Shown:
-    """Return the surfaces of the deformed mesh, whole and cut open at a plane, with its fields.
-
-    The user can colour the surfaces by each field. The plane is given by a normal and a point [mm].
+    The surfaces can be coloured by removed depth and by layer. A bone without a cut is coloured by
+    layer only.
     """
-    shown = Shown()
+    surfaces = [surface for *_, surface in moments if surface.n_cells]
+    deepest_mm = max(
+        (float(each.point_data["removed_depth_mm"].max()) for each in surfaces), default=0.0
+    )
+    names = [str(name) for name in surfaces[0].field_data["layer_names"]] if surfaces else []
+    layers = np.unique(np.concatenate([[], *(each.cell_data["layer"] for each in surfaces)]))
+    if deepest_mm > 0.0:
+        colours = _colours(DEPTH_COLOURS)
+        colours[: round(UNCUT * len(colours))] = np.array(BONE)
+        scale = _scale("removed depth", "mm", "depth", colours, (0.0, deepest_mm))
+        record["scales"].append(scale | {"group": "bone", "on": "points"})
+    record["scales"].append(_layer_scale(names, layers.astype(int).tolist(), group="bone"))
+    for is_rest in (False, True):
+        taken = [(time_s, surface) for time_s, rests, surface in moments if rests is is_rest]
+        if not taken:
+            continue
+        meshes: list[Record] = []
+        frames: list[Record] = []
+        for _, surface in taken:
+            # an empty surface has no array of shape (n, 3)
+            triangles = surface.regular_faces if surface.n_cells else np.zeros((0, 3), dtype=int)
+            # uncut bone has depth 0, and a share of it needs a divisor
+            depth = surface.point_data.get("removed_depth_mm", np.zeros(0))
+            layer = np.asarray(surface.cell_data.get("layer", np.zeros(0)), dtype=np.uint8)
+            frame = {"mesh": len(meshes), "layer": packed(layer)}
+            frame["depth"] = packed_shares(depth / max(deepest_mm, 1e-9))
+            frames.append(frame)
+            meshes.append(packed_mesh(surface.points, triangles))
+        part = {"group": "bone", "smooth": True, "times": [time_s for time_s, _ in taken]}
+        record["parts"].append({**part, "meshes": meshes, "frames": frames})
+    return [np.asarray(surface.points) for surface in surfaces]
+
+
+def _add_fields(record: Record, fields: SavedFields, plane: Plane) -> None:
+    """Add the surfaces of the deformed mesh, whole and cut open at a plane, with its fields."""
     first = fields.frames[0]
+    has_layers = len(fields.layer_names) > 1
     for name in fields.names:
+        limits = fields.limits(name)
         on = "cells" if name in first.cell_data else "points"
-        shown.scales.append({**field_scale(name, fields.limits(name)), "group": "field", "on": on})
+        scale = _scale(*field_label(name), name, _colours(field_colours(*limits)), limits)
+        record["scales"].append(scale | {"group": "field", "on": on})
     # a single layer needs no colours of its own
-    if len(fields.layer_names) > 1:
-        layers = sorted({int(layer) for layer in np.unique(first.cell_data["layer"])})
-        shown.scales.append(
-            {**layer_scale(fields.layer_names, layers), "group": "field", "on": "cells"}
-        )
+    if has_layers:
+        layers = np.unique(first.cell_data["layer"]).astype(int).tolist()
+        record["scales"].append(_layer_scale(fields.layer_names, layers, group="field"))
     normal, origin = plane
     for is_open in (False, True):
-        meshes = [
+        parts = [
             frame.clip(normal=normal, origin=origin) if is_open else frame
             for frame in fields.frames
         ]
-        shown.parts.append(
-            {"group": "field", "open": is_open, "blend": True, **_moments_of_fields(fields, meshes)}
-        )
-    shown.see(first.points)
-    return shown
+        surfaces = [
+            part.extract_surface(algorithm="dataset_surface").triangulate() for part in parts
+        ]
+        meshes: list[Record] = []
+        frames: list[Record] = []
+        for index, surface in enumerate(surfaces):
+            # consecutive frames with the same triangles share a mesh
+            if index == 0 or not _is_same(surfaces[index - 1], surface):
+                meshes.append(packed_mesh(surface.points, surface.regular_faces))
+            frame: Record = {"mesh": len(meshes) - 1}
+            if fields.displacement is not None:
+                frame["moved"] = packed_vectors(fields.moved_mm(surface))
+            for name in fields.names:
+                values = field_values(surface, name)
+                if values is not None:
+                    frame[name] = packed_shares(_shares(values, fields.limits(name)))
+            if has_layers:
+                frame["layer"] = packed(np.asarray(surface.cell_data["layer"], dtype=np.uint8))
+            frames.append(frame)
+        part = {"group": "field", "open": is_open, "blend": True, "times": fields.times_s.tolist()}
+        record["parts"].append({**part, "meshes": meshes, "frames": frames})
 
 
-def _moments_of_fields(fields: SavedFields, parts: Sequence[Any]) -> Record:
-    """Return the surfaces of all frames.
-
-    Consecutive frames with the same triangles share a mesh.
-    """
-    surfaces = [part.extract_surface(algorithm="dataset_surface").triangulate() for part in parts]
-    moved = [fields.moved_mm(surface) for surface in surfaces]
-    meshes: list[Record] = []
-    frames: list[Record] = []
-    order = np.zeros(0, dtype=np.intp)
-    for index, surface in enumerate(surfaces):
-        if index == 0 or not _is_same(surfaces[index - 1], surface):
-            mesh, order = packed_mesh(surface.points, surface.regular_faces)
-            meshes.append(mesh)
-        frame: Record = {"mesh": len(meshes) - 1}
-        if fields.displacement is not None:
-            frame["moved"] = packed_vectors(moved[index][order])
-        for name in fields.names:
-            values = field_values(surface, name)
-            if values is not None:
-                on_points = name in surface.point_data
-                frame[name] = packed_shares(
-                    _shares(values[order] if on_points else values, fields.limits(name))
-                )
-        if len(fields.layer_names) > 1:
-            frame["layer"] = packed(np.asarray(surface.cell_data["layer"], dtype=np.uint8))
-        frames.append(frame)
-    return {"times": fields.times_s.tolist(), "meshes": meshes, "frames": frames}
-
-
-def _shares(values: NDArray[Any], limits: tuple[float, float]) -> Array:
+def _shares(values: ArrayLike, limits: tuple[float, float]) -> Array:
     """Return the positions of values on their colour scale, which is logarithmic if it begins above
     0.
     """
@@ -340,41 +290,33 @@ def _is_same(a: Any, b: Any) -> bool:
     )
 
 
-UNCUT = 0.02
-"""Removed depth, relative to the deepest cut, below which bone counts as uncut."""
-
-
-def depth_scale(deepest_mm: float) -> Record:
-    """Return the colour scale of removed depth; uncut bone has a separate colour."""
-    colours = _colours(DEPTH_COLOURS)
-    colours[: round(UNCUT * len(colours))] = np.array(BONE)
-    return _scale("removed depth", "mm", "depth", colours) | _ends_of_scale(0.0, deepest_mm)
-
-
-def field_scale(name: str, limits: tuple[float, float]) -> Record:
-    """Return the colour scale of a field over the whole run, logarithmic if it begins above 0."""
-    colours = _colours(field_colours(*limits))
-    return _scale(*field_label(name), name, colours) | _ends_of_scale(*limits)
-
-
-def layer_scale(names: Sequence[str], shown: Sequence[int]) -> Record:
+def _layer_scale(names: Sequence[str], shown: Sequence[int], *, group: str) -> Record:
     """Return the colours of layers, and a legend with the shown layers."""
     colours = layer_colours(tuple(names))
     # an index of one byte
     table = np.zeros((256, 3))
     table[: len(names)] = np.array([colours[name] for name in names])
     legend = [[names[index], to_hex(colours[names[index]])] for index in shown]
-    return _scale("layer", "", "layer", table) | {"names": legend}
+    return _scale("layer", "", "layer", table) | {"names": legend, "group": group, "on": "cells"}
 
 
-def _scale(label: str, unit: str, array: str, colours: Array) -> Record:
-    """Return the record of a colour scale: its texts, and its colours as bytes."""
+def _scale(
+    label: str,
+    unit: str,
+    array: str,
+    colours: Array,
+    limits: tuple[float, float] | None = None,
+) -> Record:
+    """Return the record of a colour scale: texts, colours as bytes, and ends.
+
+    The scale is logarithmic if it begins above 0.
+    """
     table = b64encode(np.rint(255 * colours).astype(np.uint8).tobytes()).decode("ascii")
-    return {"label": label, "unit": unit, "array": array, "colours": table}
-
-
-def _ends_of_scale(low: float, high: float) -> Record:
-    return {"low": low, "high": high, "logarithmic": low > 0.0}
+    record: Record = {"label": label, "unit": unit, "array": array, "colours": table}
+    if limits is not None:
+        low, high = limits
+        record |= {"low": low, "high": high, "logarithmic": low > 0.0}
+    return record
 
 
 def _colours(name: str) -> Array:

@@ -1,12 +1,9 @@
 """Tissue in the window of `tissue view`: deformed mesh with fields, and bone."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from meshes.base.arrays import Array
 from tissue.show.figures.figure import (
     BONE,
     DEPTH_COLOURS,
@@ -23,7 +20,7 @@ from tissue.simulation.saved_fields import SavedFields, field_values
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["REFERENCE", "BoneShown", "FieldsShown", "interpolated", "layer_look"]
+__all__ = ["BoneShown", "FieldsShown", "layer_look"]
 
 TETRAHEDRON = 10
 """VTK's number of the cell type."""
@@ -33,28 +30,8 @@ DIFFUSE = 0.25
 
 The shade shows the shape, but the colours still agree with the scale.
 """
-REFERENCE = "reference_mm"
 SHOWN = "shown"
-"""Names of arrays that are used only to draw and to read values."""
-
-
-@dataclass(frozen=True)
-class PointValues:
-    """Field values at a material point.
-
-    Attributes
-    ----------
-    place_mm
-        Position [mm] at which the point is drawn, with the scaled displacement, shape (3,).
-    values
-        Field values, keyed by name.
-    layer
-        Layer of the point; empty if there are no layers.
-    """
-
-    place_mm: Array
-    values: dict[str, Array]
-    layer: str
+"""Name of the array that is drawn."""
 
 
 class FieldsShown:
@@ -78,11 +55,7 @@ class FieldsShown:
     name
         Name of the shown field, or None.
     actor
-        Actor of the drawn mesh in the plotter, or None. The point array ``reference_mm`` of the
-        mesh contains the undeformed positions.
-    drawn
-        Functions that are called without arguments after each change of the shown fields. The
-        caller that made the change must then render the view.
+        Actor of the drawn mesh in the plotter, or None.
     """
 
     def __init__(
@@ -103,14 +76,8 @@ class FieldsShown:
         self._hidden: frozenset[str] = frozenset()
         self.name: str | None = None
         self.actor: pyvista.Actor | None = None
-        self.drawn: list[Callable[[], None]] = []
         self._title = ""
         self._last: tuple[object, ...] | None = None
-
-    @property
-    def bounds_mm(self) -> tuple[float, ...]:
-        """Box around the mesh in the first frame: lowest and highest x, y and z [mm]."""
-        return tuple(self._fields.frames[0].bounds)
 
     def show(self, name: str | None) -> None:
         """Show a field; hide the fields if the name is None."""
@@ -137,30 +104,6 @@ class FieldsShown:
         self._hidden = hidden
         self._draw()
 
-    def read(self, reference_mm: Array) -> PointValues | None:
-        """Return the field values at a material point, or None if its cell was removed.
-
-        `reference_mm` is the position of the point in the undeformed mesh.
-        """
-        mesh, _ = self._fields.at(self._time_s)
-        if not mesh.n_cells:
-            return None
-        found: Any = mesh.find_closest_cell(reference_mm, return_closest_point=True)
-        cell, closest = found
-        # the cell was removed: the nearest one left is a thousandth of the mesh's size or more away
-        if np.linalg.norm(closest - reference_mm) > 1e-3 * self._fields.size_mm:
-            return None
-        layers = self._fields.layer_names
-        values: dict[str, Array] = {}
-        for name in self._fields.names:
-            if name in mesh.cell_data:
-                values[name] = np.asarray(mesh.cell_data[name][cell])
-            elif name in mesh.point_data:
-                values[name] = interpolated(mesh, cell, closest, name)
-        moved = self._fields.unit_mm * values.get(self._fields.displacement or "", np.zeros(3))
-        layer = layers[int(mesh.cell_data["layer"][cell])] if layers else ""
-        return PointValues(reference_mm + self.scale * moved, values, layer)
-
     def _draw(self) -> None:
         mesh, shown_s = self._fields.at(self._time_s)
         key = (self.name, self.scale, self.clip, self._hidden, shown_s)
@@ -174,8 +117,6 @@ class FieldsShown:
         self.actor = None
         if self.name is not None:
             self._add(mesh, shown_s, self.name)
-        for call in self.drawn:
-            call()
 
     def _part(self, mesh: "pyvista.DataSet") -> "pyvista.DataSet":
         """Return the deformed mesh without hidden layers, cut at the clip plane."""
@@ -190,7 +131,6 @@ class FieldsShown:
         if not mesh.n_cells:
             return mesh
         moved = mesh.copy(deep=False)
-        moved.point_data[REFERENCE] = np.array(mesh.points)
         place = np.asarray(mesh.points) + np.float32(self.scale) * self._fields.moved_mm(mesh)
         # to set them through .points would move the frame too
         moved.SetPoints(pyvista.vtk_points(place, deep=True))
@@ -239,18 +179,6 @@ class FieldsShown:
         if self.scale != 1.0 and self._fields.displacement is not None:
             self._title += f"\ndrawn × {self.scale:.3g}"
         add_colour_scale(self._plotter, self._title, self.actor.mapper, bottom=0.42, fmt="%.2g")
-
-
-def interpolated(mesh: "pyvista.DataSet", cell: int, place_mm: Array, name: str) -> Array:
-    """Interpolate a point array in one cell of a mesh with the shape functions of the cell."""
-    from vtkmodules.vtkCommonCore import reference
-
-    one = mesh.GetCell(cell)
-    nodes = [one.GetPointId(i) for i in range(one.GetNumberOfPoints())]
-    shares = [0.0] * len(nodes)
-    unused = [0.0] * 3
-    one.EvaluatePosition(place_mm.tolist(), unused, reference(0), unused, reference(0.0), shares)
-    return np.asarray(np.array(shares) @ np.asarray(mesh.point_data[name], dtype=np.float64)[nodes])
 
 
 DEPTH = "removed_depth_mm"
@@ -322,27 +250,15 @@ class BoneShown:
         self.help = "c: removed depth or layer" if self.is_cut else ""
         if self.is_cut:
             plotter.add_key_event("c", self.change)
-        self._parts: dict[str, pyvista.PolyData] = {}
-        self._take()
-        self.points_mm = np.vstack([np.asarray(part.points) for part in self._parts.values()])
+        parts = bone.cut(bone.layers), bone.rest(bone.layers)
+        self.points_mm = np.vstack([np.asarray(part.points) for part in parts])
         self._draw()
 
     def at(self, tick: int) -> None:
         """Show the bone as it is at the end of a tick."""
+        # the bone beyond the cut is the same at all ticks
         if self._bone.at(tick):
-            # the bone beyond the cut is the same at all ticks
-            self._take(rest=False)
-            if self._visible:
-                self._draw_part("bone")
-
-    def _take(self, *, rest: bool = True) -> None:
-        """Update the surfaces of the shown layers; if requested, also the surface that no cut
-        changes.
-        """
-        shown = [index for name, index in self._index.items() if name not in self._hidden]
-        self._parts["bone"] = self._bone.cut(shown)
-        if rest:
-            self._parts["bone beyond the cut"] = self._bone.rest(shown)
+            self._draw_part("bone")
 
     def change(self) -> None:
         """Switch between colours for removed depth and for layers."""
@@ -354,7 +270,6 @@ class BoneShown:
         """Hide some layers, and colour the bone by layer."""
         self._hidden = hidden
         self.by_depth = False
-        self._take()
         self._draw()
 
     def show(self, visible: bool) -> None:
@@ -369,7 +284,7 @@ class BoneShown:
         plotter.remove_actor(UNCUT, render=False)
         if DEPTH_TITLE in plotter.scalar_bars:
             plotter.remove_scalar_bar(DEPTH_TITLE, render=False)
-        actors = [self._draw_part(name) for name in self._parts]
+        actors = [self._draw_part(name) for name in ("bone", "bone beyond the cut")]
         shown = [actor for actor in actors if actor is not None]
         if self.by_depth and shown:
             # above the chart and the sliders; the legend takes its place if layers are shown
@@ -396,8 +311,11 @@ class BoneShown:
     def _draw_part(self, name: str) -> "pyvista.Actor | None":
         """Draw one of the surfaces again; return its actor, or None if the surface is empty."""
         self._plotter.remove_actor(name, reset_camera=False, render=False)
-        part = self._parts[name].copy(deep=False)
-        if not self._visible or not part.n_cells:
+        if not self._visible:
+            return None
+        shown = [index for each, index in self._index.items() if each not in self._hidden]
+        part = self._bone.cut(shown) if name == "bone" else self._bone.rest(shown)
+        if not part.n_cells:
             return None
         look = layer_look(self._names)
         if self.by_depth:

@@ -104,7 +104,7 @@ def add_slider(
         pointa=(left, height),
         pointb=(right, height),
         color="black",
-        # shares of the window: letters as high as in the lists of `controls`, and a handle that
+        # shares of the window: letters as high as those of the help, and a handle that
         # is wider than its line
         title_height=0.024,
         slider_width=0.012,
@@ -113,11 +113,10 @@ def add_slider(
     )
 
 
-def picked(plotter: Plotter, actor: object, x: int, y: int) -> tuple[int, Array] | None:
-    """Return the index of the cell of an actor under a pixel, and the point of the cell there [mm].
+def picked(plotter: Plotter, actor: object, x: int, y: int) -> Array | None:
+    """Return the point of an actor under a pixel [mm]; None if the actor is not under the pixel.
 
-    `x` and `y` are counted in pixels from the lower left corner of the window. The result is None
-    if the actor is not under the pixel.
+    `x` and `y` are counted in pixels from the lower left corner of the window.
     """
     from vtkmodules.vtkRenderingCore import vtkCellPicker
 
@@ -125,11 +124,12 @@ def picked(plotter: Plotter, actor: object, x: int, y: int) -> tuple[int, Array]
     # in shares of the window's diagonal: a fraction of a pixel
     picker.SetTolerance(1e-4)
     picker.InitializePickList()
-    picker.AddPickList(actor)
+    if actor is not None:
+        picker.AddPickList(actor)
     picker.PickFromListOn()
     if not picker.Pick(float(x), float(y), 0.0, plotter.renderer) or picker.GetCellId() < 0:
         return None
-    return picker.GetCellId(), np.array(picker.GetPickPosition())
+    return np.array(picker.GetPickPosition())
 
 
 def add_colour_scale(

@@ -3,13 +3,14 @@
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from meshes.base.arrays import Array
+from tissue.scene.scene import Scene
 from tissue.show.figures.figure import COMPONENTS, layer_colours
-from tissue.show.figures.tool_mesh import faces_of, pose, row_at, tool_turns, turning_tool
+from tissue.show.figures.tool_mesh import faces_of, pose, row_at, turning_tool
 from tissue.show.viewer.fields import BoneShown, FieldsShown
 from tissue.show.viewer.plotter import Plotter, add_text, in_words
 from tissue.show.viewer.saved_surfaces import bone_of, cut_plane, saved_fields, tool_force
@@ -28,98 +29,6 @@ MOST_ROWS = 4000
 """Largest number of rows of the trace that a path or a curve shows: several for each pixel."""
 LONGEST = 0.3
 """Ratio of the length of the longest arrow to the size of the touched object."""
-
-
-class MomentShown:
-    """Tool, force and chart cursor at one time of a trace.
-
-    Parameters
-    ----------
-    plotter
-        Plotter in which the parts are drawn.
-    trace
-        Trace with at least one row.
-    tool
-        Surface of the tool in the frame of the tool [mm], or None.
-    size_mm
-        Size of the object that the tool touches [mm]. The length of the arrow is proportional to
-        this size.
-    chart
-        If true, the force is shown as text, and as a chart over time along the lower edge.
-    """
-
-    def __init__(
-        self,
-        plotter: Plotter,
-        trace: Table,
-        tool: "pyvista.PolyData | None",
-        *,
-        size_mm: float,
-        chart: bool = True,
-    ) -> None:
-        import pyvista
-
-        self._trace = trace
-        self._tips = trace.vectors("tool", "mm")
-        self._force = tool_force(trace)
-        self._turns = tool_turns(trace)
-        every = slice(None, None, max(len(trace.rows) // MOST_ROWS, 1))
-        path = self._tips[every]
-        travel_mm = float(np.ptp(path, axis=0).max())
-        if travel_mm > 0.0:
-            plotter.add_mesh(pyvista.lines_from_points(path), color="#D55E00", line_width=3)
-        self._peak = int(np.linalg.norm(self._force, axis=1).argmax())
-        # at least 0.3 mm long where nothing has a size
-        self._longest = LONGEST * max(travel_mm, size_mm, tool.length if tool else 0.0, 1.0)
-        self._tool = ToolShown(plotter, tool, longest_mm=self._longest, opacity=0.35)
-        self._charted = chart
-        if chart:
-            self._text = add_text(plotter, "", (0.012, 0.932), size=11)
-            self._chart, self._cursor = _chart(plotter, trace, every)
-
-    @property
-    def _largest_N(self) -> float:
-        # a divisor, also in a run without force
-        return max(float(np.linalg.norm(self._force[self._peak])), 1e-9)
-
-    @property
-    def extent_mm(self) -> Array:
-        """First and last tip position, and both ends of the longest arrow [mm], shape (4, 3)."""
-        tip = self._tips[self._peak]
-        arrow = self._longest * self._force[self._peak] / self._largest_N
-        return np.stack([self._tips[0], self._tips[-1], tip, tip + arrow])
-
-    def near_tip_mm(self, tool_mm: Array, *, reach_mm: float) -> Array:
-        """Return the points of the tool near its tip, at the time of the largest force.
-
-        `tool_mm` contains points of the tool in the frame of the tool [mm]. The points within
-        `reach_mm` of the tip are returned in the frame of the world [mm].
-        """
-        near = tool_mm[np.linalg.norm(tool_mm, axis=1) <= reach_mm]
-        matrix = pose(self._tips[self._peak], self._turns[self._peak])
-        return near @ matrix[:3, :3].T + matrix[:3, 3]
-
-    @property
-    def peak_s(self) -> float:
-        """Time of the largest force [s]."""
-        return float(self._trace["time_s"][self._peak])
-
-    def at(self, time_s: float) -> None:
-        """Show a time."""
-        trace = self._trace
-        row = row_at(trace, time_s)
-        force = self._force[row]
-        self._tool.show(self._tips[row], self._turns[row], force, largest_N=self._largest_N)
-        if not self._charted:
-            return
-        size = float(np.linalg.norm(force))
-        words = [f"{time_s:.3f} s: force {size:.2f} N ({in_words(force)})"]
-        if "layer" in trace:
-            words.append(str(trace["layer"][row]))
-        if "removed_mm3" in trace and trace["removed_mm3"][-1] > 0.0:
-            words.append(f"removed {trace['removed_mm3'][row]:.2f} mm³")
-        self._text.input = ", ".join(words)
-        self._cursor.update([time_s, time_s], self._chart.y_range)
 
 
 def _chart(
@@ -303,8 +212,10 @@ class RunScene:
 
     Attributes
     ----------
-    bone, fields, moment
+    bone, fields
         Parts of the scene; None for a part that the run does not have.
+    trace
+        Trace of the run; None for a run without ticks.
     series
         Fields of the run over time, or None.
     colours
@@ -363,34 +274,59 @@ class RunScene:
         # a subset of many points is enough to find their extent
         some = (each[:: max(len(each) // MOST_POINTS, 1)] for each in points)
         self.tissue_mm: Array = np.vstack([np.zeros((0, 3)), *some])
-
-        self.moment: MomentShown | None = None
-        self._tool: pyvista.PolyData | None = None
-        if saved.trace is not None and len(saved.trace.rows):
-            self._tool = turning_tool(scene.tool if scene is not None else None)
-            self.moment = MomentShown(
-                plotter, saved.trace, self._tool, size_mm=self.size_mm, chart=annotated
-            )
-        self._trace = saved.trace
         self.times_s = times_of(saved, self.series)
-        self.span_s = (
-            (float(self.times_s[0]), float(self.times_s[-1])) if len(self.times_s) else (0.0, 0.0)
-        )
-        self.start_s = self.span_s[1] if self.moment is None else self.moment.peak_s
+        ends = self.times_s if len(self.times_s) else np.zeros(1)
+        self.span_s = float(ends[0]), float(ends[-1])
+        self.start_s = self.span_s[1]
+        self.trace: Table | None = None
+        if saved.trace is not None and len(saved.trace.rows):
+            self.trace = saved.trace
+            self._add_tool(saved.trace, scene, annotated=annotated)
         if choice.time_s is not None:
             self.start_s = choice.time_s
+
+    def _add_tool(self, trace: Table, scene: Scene | None, *, annotated: bool) -> None:
+        """Add the tool, the force on the tool, the path of the tip, and the chart of the force."""
+        import pyvista
+
+        self._tips = trace.vectors("tool", "mm")
+        self._force = tool_force(trace)
+        self._turns = trace.quaternions()
+        every = slice(None, None, max(len(trace.rows) // MOST_ROWS, 1))
+        path = self._tips[every]
+        travel_mm = float(np.ptp(path, axis=0).max())
+        if travel_mm > 0.0:
+            self._plotter.add_mesh(pyvista.lines_from_points(path), color="#D55E00", line_width=3)
+        self._peak = int(np.linalg.norm(self._force, axis=1).argmax())
+        # a divisor, also in a run without force
+        self._largest_N = max(float(np.linalg.norm(self._force[self._peak])), 1e-9)
+        self.start_s = float(trace["time_s"][self._peak])
+        self._body = turning_tool(scene.tool if scene is not None else None)
+        length_mm = self._body.length if self._body is not None else 0.0
+        # at least 0.3 mm long where nothing has a size
+        self._longest_mm = LONGEST * max(travel_mm, self.size_mm, length_mm, 1.0)
+        self._tool = ToolShown(self._plotter, self._body, longest_mm=self._longest_mm, opacity=0.35)
+        self._text: Any = None
+        if annotated:
+            self._text = add_text(self._plotter, "", (0.012, 0.932), size=11)
+            self._chart, self._cursor = _chart(self._plotter, trace, every)
 
     def extent_mm(self, *, near_tip: bool = False) -> Array:
         """Return the points that must stay in view [mm], shape (n, 3).
 
-        With `near_tip`, the result contains the points of the tool near its tip too.
+        The points belong to the tissue, the first and the last position of the tip, and the longest
+        arrow. With `near_tip`, the points of the tool near its tip are included.
         """
-        points = [self.tissue_mm]
-        if self.moment is not None:
-            points.append(self.moment.extent_mm)
-            if near_tip and self._tool is not None:
-                tool_mm = np.asarray(self._tool.points)
-                points.append(self.moment.near_tip_mm(tool_mm, reach_mm=NEAR_TIP * self.size_mm))
+        if self.trace is None:
+            return self.tissue_mm
+        tip = self._tips[self._peak]
+        arrow = self._longest_mm * self._force[self._peak] / self._largest_N
+        points = [self.tissue_mm, np.stack([self._tips[0], self._tips[-1], tip, tip + arrow])]
+        if near_tip and self._body is not None:
+            body = np.asarray(self._body.points)
+            near = body[np.linalg.norm(body, axis=1) <= NEAR_TIP * self.size_mm]
+            matrix = pose(tip, self._turns[self._peak])
+            points.append(near @ matrix[:3, :3].T + tip)
         return np.vstack(points)
 
     def tissue_actors(self) -> "Iterator[pyvista.Actor]":
@@ -400,12 +336,25 @@ class RunScene:
 
     def at(self, time_s: float) -> None:
         """Show a time."""
-        if self.moment is not None and self._trace is not None:
-            self.moment.at(time_s)
-            if self.bone is not None:
-                self.bone.at(row_at(self._trace, time_s))
         if self.fields is not None:
             self.fields.at(time_s)
+        if self.trace is None:
+            return
+        trace = self.trace
+        row = row_at(trace, time_s)
+        force = self._force[row]
+        self._tool.show(self._tips[row], self._turns[row], force, largest_N=self._largest_N)
+        if self.bone is not None:
+            self.bone.at(row)
+        if self._text is None:
+            return
+        words = [f"{time_s:.3f} s: force {np.linalg.norm(force):.2f} N ({in_words(force)})"]
+        if "layer" in trace:
+            words.append(str(trace["layer"][row]))
+        if "removed_mm3" in trace and trace["removed_mm3"][-1] > 0.0:
+            words.append(f"removed {trace['removed_mm3'][row]:.2f} mm³")
+        self._text.input = ", ".join(words)
+        self._cursor.update([time_s, time_s], self._chart.y_range)
 
     def show(self, field: str | None) -> None:
         """Show a field; for None, show the bone."""

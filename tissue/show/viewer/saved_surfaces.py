@@ -14,7 +14,6 @@ from tissue.motion.replay import poses_of_trace, read_poses
 from tissue.scene.anatomy import CutAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
-from tissue.show.figures.tool_mesh import tool_turns
 from tissue.simulation.bone_files import read_voxels
 from tissue.simulation.bone_surface import (
     Box,
@@ -229,7 +228,7 @@ def _over_time(
         return BoneOverTime(volume, volume.fraction if end is None else end)
     assert isinstance(scene.tool, Tool)
     if poses is None:
-        axes = tool_axes(tool_turns(trace))
+        axes = tool_axes(trace.quaternions())
         poses = poses_of_trace(1e-3 * trace.vectors("tool", "mm"), axes)
     import warp as wp
 

@@ -110,7 +110,7 @@ class SiteWindow:
         found = picked(self.plotter, self._bone, x, y)
         if found is None:
             return False
-        _, self.centre_mm = found
+        self.centre_mm = found
         self.normal = normal_near(self._samples, 1e-3 * self.centre_mm)
         self._draw("picked, not saved yet: press Return", UNSAVED)
         return True

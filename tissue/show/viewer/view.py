@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
@@ -15,12 +14,10 @@ from typing import IO
 from meshes.base.errors import PRESENT, InputError, require_range
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import require_new_file, whole_file
-from tissue.models.tissue_model import TICK_S
 from tissue.show.viewer.run_scene import Choice, times_of
 from tissue.show.viewer.saved_surfaces import is_bone_from_file, saved_fields
 from tissue.show.viewer.site_window import is_imported, show_site
 from tissue.show.viewer.window import Window, check_movie, write_clean, write_movie
-from tissue.simulation.builders.parts import motion_of
 from tissue.simulation.live.window import require_web
 from tissue.simulation.run_folder import SavedRun
 from tissue.simulation.saved_fields import SavedFields, require_whole
@@ -39,6 +36,8 @@ __all__ = ["view"]
 
 LONGEST_MOVIE_S = 3600.0
 """Longest time for drawing a movie [s]."""
+BEGUN = {"running": "is running", "failed": "failed"}
+"""Words for the status of an incomplete run."""
 LARGEST_SCALE = 1e9
 """Largest factor of a displacement: nanometres are drawn as metres."""
 
@@ -233,29 +232,19 @@ def _about(saved: SavedRun) -> str:
             f"{saved.summary['scene']}: {saved.summary['simulated_s']:g} s, force up to "
             f"{force:.3g} N, torque up to {torque:.3g} N·m"
         )
-    begun = {"running": "is running", "failed": "failed"}.get(saved.status, "was interrupted")
     where = "before its first tick was written"
     if saved.trace is not None and len(saved.trace.rows):
-        last = float(saved.trace["time_s"][-1])
-        where = f"at {last:.3f} s"
-        planned = None
-        if saved.scene is not None:
-            with suppress(InputError):
-                planned = saved.scene.duration_s or motion_of(saved.scene).duration_s
-        if planned:
-            # the last tick begins one tick before the end; half a tick more covers rounding
-            ended = last > planned - 1.5 * TICK_S
-            while_saving = "after its last tick, while its files were written"
-            where = while_saving if ended else f"{where} of {planned:g} s"
+        where = f"at {saved.trace['time_s'][-1]:.3f} s"
+    about = f"run is incomplete: it {BEGUN.get(saved.status, 'was interrupted')} {where}"
     if saved.status == "running":
-        where += f", process {saved.summary['process']['id']} writes it"
-    problem = f" ({saved.problem})" if saved.problem else ""
-    missing = ""
+        about += f", process {saved.summary['process']['id']} writes it"
+    if saved.problem:
+        about += f" ({saved.problem})"
     if saved.scene is not None and is_bone_from_file(saved.scene):
-        missing = (
+        about += (
             ". The tissue is not shown, because tissue from a file is saved at the end of a run"
         )
-    return f"run is incomplete: it {begun} {where}{problem}{missing}"
+    return about
 
 
 def show(

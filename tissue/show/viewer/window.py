@@ -1,26 +1,16 @@
 """Window of `tissue view`, also used off screen for stills and movies."""
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from subprocess import DEVNULL, SubprocessError, run
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from meshes.base.arrays import Array, Bytes
 from meshes.base.errors import InputError
-from meshes.base.whole_file import whole_file
-from tissue.show.figures.figure import field_words
 from tissue.show.figures.rendering import round_length
-from tissue.show.viewer.controls import HELP as CLIP_HELP
-from tissue.show.viewer.controls import (
-    ClipPlane,
-    LayerKeys,
-    NameList,
-    Playback,
-    PlaybackWidgets,
-    PointRead,
-)
+from tissue.show.viewer.fields import FieldsShown
+from tissue.show.viewer.playback import Playback
 from tissue.show.viewer.plotter import (
     Plotter,
     add_names,
@@ -29,11 +19,11 @@ from tissue.show.viewer.plotter import (
     aim,
     free_keys,
     new_plotter,
-    on_click,
 )
 from tissue.show.viewer.run_scene import CHART_SHARE, Choice, RunScene
 from tissue.show.viewer.saved_surfaces import cut_plane
 from tissue.simulation.run_folder import SavedRun
+from tissue.simulation.saved_fields import SavedFields
 
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
@@ -71,20 +61,6 @@ def add_scale_bar(plotter: Plotter) -> None:
     bar.GetProperty().SetLineWidth(5.0)
     plotter.add_actor(bar, reset_camera=False, render=False)
     plotter.add_text(f"{length:g} mm", position=(x, y + 8), font_size=11, color="black")
-
-
-def leave_alone(plotter: Plotter, kept: Collection[object], points_mm: Array) -> None:
-    """Remove texts, widgets, colour scales and all actors except `kept` from a plotter.
-
-    The camera is moved so that the given points fill the window.
-    """
-    plotter.clear_slider_widgets()
-    plotter.remove_legend(render=False)
-    plotter.remove_chart(*plotter.renderer._charts)
-    for actor in list(plotter.actors.values()):
-        if actor not in kept:
-            plotter.remove_actor(actor, reset_camera=False, render=False)
-    aim(plotter, points_mm, margins=(BORDER, 1.0 - BORDER, BORDER, 1.0 - BORDER), parallel=True)
 
 
 def write_clean(plotter: Plotter, file: Path) -> None:
@@ -133,11 +109,8 @@ def check_movie(path: Path) -> None:
             import imageio.v2  # noqa: F401
             import imageio_ffmpeg
 
-            encoder = imageio_ffmpeg.get_ffmpeg_exe()
-            # an encoder that IMAGEIO_FFMPEG_EXE names is not tried; one that takes a minute to
-            # print its version hangs
-            run([encoder, "-version"], check=True, capture_output=True, stdin=DEVNULL, timeout=60.0)
-        except (ImportError, RuntimeError, OSError, SubprocessError):
+            imageio_ffmpeg.get_ffmpeg_exe()
+        except (ImportError, RuntimeError):
             raise InputError(
                 "movie",
                 "be a .gif where imageio and imageio-ffmpeg have no ffmpeg that runs",
@@ -156,7 +129,7 @@ def movie_times_s(first_s: float, last_s: float) -> Array:
 
 
 def write_movie(path: Path, pictures: Iterable[Bytes]) -> None:
-    """Write a movie; an existing file is replaced only when the new file is complete.
+    """Write a movie; an existing file is replaced.
 
     Parameters
     ----------
@@ -165,8 +138,7 @@ def write_movie(path: Path, pictures: Iterable[Bytes]) -> None:
     pictures
         Red, green and blue of each picture, shape (height, width, 3). Height and width are even.
     """
-    with whole_file(path) as temporary:
-        (_write_mp4 if path.suffix.lower() == ".mp4" else _write_gif)(temporary, pictures)
+    (_write_mp4 if path.suffix.lower() == ".mp4" else _write_gif)(path, pictures)
 
 
 def _write_gif(path: Path, pictures: Iterable[Bytes]) -> None:
@@ -206,6 +178,12 @@ SLIDERS = CHART_SHARE + 0.04
 """Height of the sliders, relative to the window."""
 LARGEST = 0.3
 """Largest drawn displacement that the slider allows, relative to the size of the mesh."""
+PUSH = 0.02
+"""Distance by which a key moves the plane that cuts the mesh, relative to the size of the mesh."""
+EVERY_MS = 40
+"""Time between two updates during playback [ms]: 25 updates per second."""
+MOST_KEYS = 9
+"""Largest number of layers that have a key. The keys are the digits from 1 on."""
 
 
 class Window:
@@ -220,52 +198,114 @@ class Window:
     choice
         First view of the run.
     off_screen
-        If true, the view is drawn for a file, without buttons, lists and help text.
+        If true, the view is drawn for a file, without keys, marks and help text.
 
     Attributes
     ----------
     plotter
         PyVista's plotter.
-    fields, point, names, playback, widgets, bone, layers
+    fields, bone
         Parts of the window; None for a part that the run or a still picture does not have.
+    playback
+        Shown time.
+    hidden
+        Hidden layers.
     """
 
     def __init__(self, saved: SavedRun, title: str, choice: Choice, *, off_screen: bool) -> None:
-        self._saved = saved
         self._off_screen = off_screen
         title_bar = f"tissue: {saved.summary.get('scene', 'run')}"
         self.plotter = new_plotter(SIZE, title=title_bar, off_screen=off_screen)
-        shown = self._shown = RunScene(saved, choice, self.plotter, fine=off_screen)
+        shown = self._shown = RunScene(
+            saved, choice, self.plotter, fine=off_screen, annotated=not choice.clean
+        )
         self.bone = shown.bone
         self.fields = shown.fields
-        self.names: NameList | None = None
-        self.point: PointRead | None = None
         self.playback = Playback(shown.span_s, shown.start_s)
-        self.widgets: PlaybackWidgets | None = None
-        add_names(self.plotter, shown.face_colours)
-        self.layers = LayerKeys(
-            self.plotter, list(shown.colours), hidden=choice.hide, hide=shown.hide
-        )
+        self.hidden: frozenset[str] = frozenset()
+        self._slider: Any = None
+        if not choice.clean:
+            add_names(self.plotter, shown.face_colours)
+        if choice.hide:
+            self.toggle(*choice.hide)
         if len(shown.times_s):
-            self._add_time()
+            shown.at(shown.start_s)
+        if len(shown.times_s) > 1 and not choice.clean:
+            right = 0.97 if shown.series is None or off_screen else 0.66
+            self._slider = add_slider(
+                self.plotter,
+                self._drag,
+                shown.span_s,
+                shown.start_s,
+                place=(0.03, right, SLIDERS),
+                fmt="%.3f s",
+            )
+        fields = [] if shown.series is None else shown.series.names
         # bone is shown before fields
-        first = shown.series.names[0] if shown.series is not None and self.bone is None else None
-        self.choose(choice.field or first)
-        if not off_screen:
-            self._add_controls()
-        self._write(title)
+        self._names = [*([None] if self.bone is not None else []), *fields]
+        self.choose(choice.field or next(iter(self._names), None))
+        self._plane = cut_plane(saved, shown.series) if shown.series is not None else None
         if choice.clean:
-            leave_alone(self.plotter, list(shown.tissue_actors()), shown.tissue_mm)
+            kept = list(shown.tissue_actors())
+            for actor in [each for each in self.plotter.actors.values() if each not in kept]:
+                self.plotter.remove_actor(actor, reset_camera=False, render=False)
+            area = (BORDER, 1.0 - BORDER, BORDER, 1.0 - BORDER)
+            aim(self.plotter, shown.tissue_mm, margins=area, parallel=True)
             return
+        lines = [(title, 11)]
+        if not off_screen:
+            lines += [("", 11), *((words, 9) for words in self._add_keys())]
+        for row, (words, size) in enumerate(lines):
+            # the second line has the readings of the moment, which `run_scene` writes
+            add_text(self.plotter, words, (0.012, 0.965 - 0.033 * row), size=size)
         aim(self.plotter, shown.extent_mm(), parallel=off_screen)
         if off_screen:
             add_scale_bar(self.plotter)
 
     def choose(self, name: str | None) -> None:
         """Show a field, or the bone."""
+        self._name = name
         self._shown.show(name)
-        if self.names is not None:
-            self.names.mark(name)
+        self.plotter.render()
+
+    def choose_next(self) -> None:
+        """Show the next field, or the bone after the last field."""
+        place = self._names.index(self._name) + 1
+        self.choose(self._names[place % len(self._names)])
+
+    def toggle(self, *names: str) -> None:
+        """Hide the given layers that are shown, and show those that are hidden."""
+        self.hidden ^= frozenset(names)
+        self._shown.hide(self.hidden)
+        self.plotter.render()
+
+    def switch_plane(self) -> None:
+        """Cut the mesh of the fields open at the plane, or show the whole mesh again."""
+        if self.fields is not None:
+            self.fields.cut(self._plane if self.fields.clip is None else None)
+            self.plotter.render()
+
+    def push_plane(self, share: float) -> None:
+        """Move the plane along its normal by a share of the size of the mesh."""
+        if self._plane is None or self.fields is None or self._shown.series is None:
+            return
+        normal, origin = np.array(self._plane)
+        x, y, z = (origin + share * self._shown.series.size_mm * normal).tolist()
+        self._plane = self._plane[0], (x, y, z)
+        if self.fields.clip is not None:
+            self.fields.cut(self._plane)
+            self.plotter.render()
+
+    def play(self, playing: bool) -> None:
+        """Play or pause."""
+        self.playback.play(playing)
+        self.to(self.playback.time_s)
+
+    def to(self, time_s: float) -> None:
+        """Go to a time."""
+        if self._slider is not None:
+            self._slider.GetRepresentation().SetValue(time_s)
+        self._drag(time_s)
         self.plotter.render()
 
     def pictures(self) -> Iterator[Bytes]:
@@ -273,76 +313,68 @@ class Window:
 
         After each picture, the finished share (0 to 1) is printed on a line.
         """
-        assert self.widgets is not None
         times_s = movie_times_s(*self.playback.span_s)
         for index, time_s in enumerate(times_s.tolist(), 1):
-            self.widgets.to(time_s)
+            self.to(time_s)
             yield self.plotter.screenshot(None, return_img=True)[..., :3]
             print(index / len(times_s), flush=True)
 
     def open(self) -> None:
         """Open the window; return after it was closed."""
         free_keys(self.plotter)
-        if self.widgets is not None:
-            self.widgets.start()
+        if self._slider is not None:
+            interactor = self.plotter.iren
+            interactor.add_observer("TimerEvent", lambda *_: self._tick())
+            interactor.initialize()
+            interactor.interactor.CreateRepeatingTimer(EVERY_MS)
         self.plotter.show()
 
-    def _add_time(self) -> None:
-        """Show the first time, and add a slider if the run has several times."""
-        shown = self._shown
-        shown.at(shown.start_s)
-        if len(shown.times_s) > 1:
-            # a picture has no button at the left, and no slider of the displacement at the right
-            left = 0.03 if self._off_screen else 0.1
-            right = 0.97 if shown.series is None or self._off_screen else 0.66
-            slider = (left, right, SLIDERS)
-            self.widgets = PlaybackWidgets(self.plotter, self.playback, shown.at, slider=slider)
+    def _tick(self) -> None:
+        if self.playback.advance():
+            self.to(self.playback.time_s)
 
-    def _add_controls(self) -> None:
-        """Add the controls of a window.
+    def _drag(self, time_s: float) -> None:
+        self.playback.time_s = time_s
+        self._shown.at(time_s)
 
-        The controls are the list of fields, point values, clip plane, and factor of the
-        displacement.
-        """
-        fields = self.fields
-        series = self._shown.series
+    def _add_keys(self) -> tuple[str, str]:
+        """Add keys and the factor of the displacement; return two lines of help."""
         plotter = self.plotter
-        if fields is None or series is None:
-            return
-        labels = [(name, field_words(name)) for name in series.names]
-        bone = [(None, "bone")] if self.bone is not None else []
-        names = self.names = NameList(
-            plotter, "shown (click)", [*bone, *labels], choose=self.choose
-        )
-        names.mark(fields.name)
-        # 2 % of the run's size: visible, and small next to a layer
-        point = self.point = PointRead(plotter, fields, size_mm=0.02 * self._shown.size_mm)
-        ClipPlane(plotter, fields, start=cut_plane(self._saved, series))
-        if series.displacement is not None and series.largest_mm() > 0.0:
+        shown = self._shown
+        first = [self.bone.help] if self.bone is not None else []
+        # a single layer is never switched off
+        names = list(shown.colours)[:MOST_KEYS] if len(shown.colours) > 1 else []
+        for number, name in enumerate(names, 1):
+            plotter.add_key_event(str(number), lambda name=name: self.toggle(name))
+            first.append(f"{number}: {name} on or off")
+        second = ["q: close"]
+        if self._slider is not None:
+            plotter.add_key_event("space", lambda: self.play(not self.playback.playing))
+            second.insert(0, "space: play or pause")
+        if len(self._names) > 1:
+            plotter.add_key_event("m", self.choose_next)
+            first.append("m: next field")
+        if self.fields is not None and shown.series is not None:
+            plotter.add_key_event("x", self.switch_plane)
+            plotter.add_key_event("comma", lambda: self.push_plane(-PUSH))
+            plotter.add_key_event("period", lambda: self.push_plane(PUSH))
+            second[:0] = ["x: cut open", ", and .: move the cut"]
+            self._add_scale(self.fields, shown.series)
+        return "    ".join(filter(None, first)), "    ".join(second)
+
+    def _add_scale(self, fields: FieldsShown, series: SavedFields) -> None:
+        """Add a slider for the factor of the drawn displacement."""
+        largest_mm = series.largest_mm()
+        if largest_mm > 0.0:
             # the largest displacement becomes a fraction of the mesh, and true size and twice that
             # are always in range
-            top = max(LARGEST * series.size_mm / series.largest_mm(), fields.scale, 2.0)
+            top = max(LARGEST * series.size_mm / largest_mm, fields.scale, 2.0)
             # to the right of the slider of the time
-            place = (0.72, 0.97, SLIDERS)
             add_slider(
-                plotter,
+                self.plotter,
                 fields.enlarge,
                 (0.0, top),
                 fields.scale,
-                place=place,
+                place=(0.72, 0.97, SLIDERS),
                 fmt="displacement × %.3g",
             )
-        on_click(plotter, lambda x, y: names.click(x, y) or point.click(x, y))
-
-    def _write(self, title: str) -> None:
-        # at the top, in larger letters than the keys
-        lines = [(title, 11, 0.965)]
-        if not self._off_screen:
-            first = [self.bone.help if self.bone is not None else "", self.layers.help]
-            second = [CLIP_HELP, "click: read a point"] if self.fields is not None else []
-            second += ["space: play or pause"] if self.widgets is not None else []
-            # below the readings of the moment, which `run_scene` writes at 0.932
-            for keys, height in ((first, 0.898), ([*second, "q: close"], 0.87)):
-                lines.append(("    ".join(key for key in keys if key), 9, height))
-        for words, size, height in lines:
-            add_text(self.plotter, words, (0.012, height), size=size)

@@ -31,10 +31,8 @@ from tissue.simulation.builders.parts import FILE_WORDS
 
 __all__ = [
     "given_note",
-    "note_own_constants",
     "require_files",
     "require_known",
-    "soft_constants",
     "stated",
     "surface_of",
 ]
@@ -45,19 +43,6 @@ LAYERS = (*GLENOID_LAYERS, *VERTEBRA_LAYERS, *TOOTH_LAYERS)
 
 A file of constants may name any of these layers, even layers that the scene does not have.
 """
-
-
-def note_own_constants(scene: Scene, layers: Sequence[str], notes: dict[str, str]) -> None:
-    """Note which constants from the scene's file of constants are used, and which are not used.
-
-    The note is added to `notes`.
-
-    Raises
-    ------
-    InputError
-        If no constant has an effect, a constant is also given in the scene, or a layer is unknown.
-    """
-    notes |= given_note(scene.constants, used_constants(scene, layers), layers=layers, by="scene")
 
 
 def require_known(options: Mapping[str, object], table: type, *, of: str) -> None:
@@ -82,14 +67,6 @@ def stated(model: type[Table], values: Mapping[str, object], *, prefix: str = ""
         If a value is out of range, or a key is unknown.
     """
     given = {name: value for name, value in values.items() if value is not None}
-    for name in given:
-        if not isinstance(name, str):
-            raise InputError(
-                f"each name in {prefix.rstrip('.') or 'a mapping of arguments'}",
-                "be text",
-                repr(name),
-                f"use for example {next(iter(model.model_fields))!r}",
-            )
     try:
         return model.model_validate(given)
     except ValidationError as error:
@@ -111,7 +88,7 @@ def given_note(
     Raises
     ------
     InputError
-        As for `note_own_constants`.
+        If no constant has an effect, a constant is also given in the scene, or a layer is unknown.
     """
     if not given.given:
         return {}
@@ -182,30 +159,6 @@ def _require_some(given: Materials, used: Sequence[Used], *, by: str) -> None:
             f"{', '.join(given.given)} in {Path(given.file).name}",
             f"use one of {', '.join(names)}, or leave materials out",
         )
-
-
-def soft_constants(
-    materials: str | PathLike[str] | Materials | None,
-    material: str,
-    stated: Mapping[str, float | None],
-) -> tuple[dict[str, float], dict[str, str]]:
-    """Return the constants of an organ's material, keyed by name, and a note on their file.
-
-    The names are the keys of `stated`. A value in `stated` takes precedence over the file.
-
-    Raises
-    ------
-    InputError
-        As for `note_own_constants`.
-    """
-    given = Materials.of(materials)
-    known = given.constants("soft", material)
-    used = [
-        Used(f"soft, {material}", name, known[name], f"soft.{material}.{name}", value)
-        for name, value in stated.items()
-    ]
-    taken = {name: known[name].value if value is None else value for name, value in stated.items()}
-    return taken, given_note(given, used, layers=(), by="organ")
 
 
 def surface_of(

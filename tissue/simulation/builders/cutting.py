@@ -11,6 +11,7 @@ from kernels.bricks import FULL
 from meshes.base.arrays import Array, Bytes
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
+from meshes.paths.toolpath import arc_length, points_along
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters import profile
 from tissue.cutters.cutter import Cutter
@@ -26,7 +27,7 @@ from tissue.scene.part import is_given
 from tissue.scene.registry import CUTTERS
 from tissue.scene.scene import Cutting, Scene
 from tissue.scene.tool import PathMotion, ReplayMotion, Tool
-from tissue.simulation.builders.keep_clear import keep_clear
+from tissue.simulation.builders.keep_clear import keep_clear, region_end
 from tissue.simulation.builders.parts import (
     Parts,
     far_note,
@@ -36,7 +37,6 @@ from tissue.simulation.builders.parts import (
     require_touch,
     w_first_notice,
 )
-from tissue.simulation.builders.region_end import region_end
 from tissue.simulation.builders.voxels import volume_of
 
 if TYPE_CHECKING:
@@ -480,18 +480,14 @@ class VoxelBone:
         )
 
 
-def _between(tips_m: Array, axes: Array, *, most_m: float) -> tuple[Array, Array]:
-    """Insert poses on straight lines between poses that are farther apart than `most_m` [m]."""
-    steps = np.linalg.norm(np.diff(tips_m, axis=0), axis=1)
-    if not (steps > most_m).any():
-        return tips_m, axes
-    parts = np.maximum(np.ceil(steps / most_m), 1.0)
-    at = np.concatenate([[0.0], np.cumsum(parts)])
-    wanted = np.arange(int(at[-1]) + 1, dtype=np.float64)
-    tips = np.column_stack([np.interp(wanted, at, column) for column in tips_m.T])
-    turned = np.column_stack([np.interp(wanted, at, column) for column in axes.T])
+def _with_between(tips_m: Array, axes: Array, *, every_m: float) -> tuple[Array, Array]:
+    """Return poses and further poses at equal distances [m] on the straight lines between them."""
+    along = arc_length(tips_m)
+    wanted = np.arange(0.0, along[-1], every_m)
+    turned = np.column_stack([np.interp(wanted, along, column) for column in axes.T])
     # The mean of two opposite axes is zero, and 1e-12 avoids the division by zero.
-    return tips, turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12)
+    turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12)
+    return np.concatenate([tips_m, points_along(tips_m, wanted)]), np.concatenate([axes, turned])
 
 
 def tool_boxes(
@@ -512,7 +508,7 @@ def tool_boxes(
     around_m
         Additional margin around each box [m].
     """
-    tips_m, axes = _between(tips_m, axes, most_m=STRIDE_M)
+    tips_m, axes = _with_between(tips_m, axes, every_m=STRIDE_M)
     low, high = cutter.profile.height_range_m
     aside = cutter.profile.radius_m * np.sqrt(np.clip(1.0 - axes**2, 0.0, 1.0))
     aside += MARGIN_VOXELS * spacing_m + around_m

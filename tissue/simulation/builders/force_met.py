@@ -218,13 +218,13 @@ def chosen_scale(scene: Scene) -> ForceScale:
     series = Series.of(limits, scene.constants)
     factor = scale_for(at_device, limits, series)
     why = (
-        ", chosen for path and feed of the scripted motion, whose largest force is "
-        f"{met.force_N:.3g} N"
+        f" (coupling.force_scale = auto, for a largest force of {met.force_N:.3g} N on the "
+        "scripted motion"
     )
     if not met.stiffness_N_m > 0.0:
-        return ForceScale(factor, why)
+        return ForceScale(factor, f"{why})")
     d_prime = series.sensitivity(at_device, factor)
-    why += f" (d′ {d_prime:.2g} expected for a tissue {STIFFER - 1.0:.0%} stiffer)"
+    why += f"; d′ {d_prime:.2g} expected for a tissue {STIFFER - 1.0:.0%} stiffer)"
     return ForceScale(factor, why, d_prime)
 
 

@@ -1,4 +1,4 @@
-"""Build the measurement of a tool's distance from structures that it must not touch."""
+"""Build the measurements of distances to structures, and of the end of the simulated region."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -15,15 +15,18 @@ from meshes.shapes.sdf import Shape, shape_triangles
 from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.cutters.body import body_points
 from tissue.cutters.cutter import Cutter
+from tissue.models.bone.region_end import RegionEnd
 from tissue.models.keep_clear import APART_M, OVERLAP_M, Distance, KeepClear, Structure
+from tissue.models.tissue_model import StopsReporting
 from tissue.motion.motion import Motion
-from tissue.scene.anatomy import CutAnatomy, MolarSurfaces
+from tissue.scene.anatomy import BlockImage, CutAnatomy, MolarSurfaces
 from tissue.scene.scene import KeepClear as Wanted
+from tissue.scene.scene import Scene
 from tissue.simulation.builders.arguments import surface_of
-from tissue.simulation.builders.parts import swept_box
-from tissue.simulation.builders.voxels import structures
+from tissue.simulation.builders.parts import Parts, swept_box
+from tissue.simulation.builders.voxels import is_procedural, solid_of, structures
 
-__all__ = ["keep_clear"]
+__all__ = ["keep_clear", "region_end", "require_structures"]
 
 MARGIN_M = 10e-3
 """Margin around the scripted motion, because a hand may leave the path [m]; assumed."""
@@ -59,14 +62,12 @@ def keep_clear(
     low, high = swept_box(points, motion, MARGIN_M)
     distances: dict[str, Distance] = {}
     found: dict[str, Structure] = {}
-    shapes = structures(anatomy)
+    shapes = require_structures(wanted, anatomy)
     files = {f"keep_clear.files.{name}": (name, file) for name, file in wanted.files.items()}
     for name in wanted.names:
         if name in anatomy.structure_files:
             files[f"anatomy.{name}_file"] = name, anatomy.structure_files[name]
             continue
-        if name not in shapes:
-            raise _unknown_structure(name, anatomy, shapes)
         report(f"meshing the surface of {name}", 0.0)
         distances[name] = shapes[name].distance
         found[name] = Structure(*shape_triangles(shapes[name], low, high))
@@ -88,7 +89,29 @@ def keep_clear(
             f"the distance in the trace is never too large. It is too small by at most "
             f"{apart_mm:.2g} mm, and in a breach by at most {overlap_mm:.2g} mm"
         )
-    return KeepClear(cutter.profile, found, distances, points_m=points, box_m=np.array([low, high]))
+    return KeepClear(
+        cutter.profile,
+        found,
+        distances,
+        points_m=points,
+        box_m=np.array([low, high]),
+        margin_m=1e-3 * wanted.margin_mm,
+    )
+
+
+def require_structures(wanted: Wanted, anatomy: CutAnatomy) -> Mapping[str, Shape]:
+    """Return the procedural structures of an anatomy, after a check of the wanted names.
+
+    Raises
+    ------
+    InputError
+        If the anatomy does not have a named structure.
+    """
+    shapes = structures(anatomy)
+    for name in wanted.names:
+        if name not in anatomy.structure_files and name not in shapes:
+            raise _unknown_structure(name, anatomy, shapes)
+    return shapes
 
 
 def _unknown_structure(name: str, anatomy: CutAnatomy, shapes: Mapping[str, Shape]) -> InputError:
@@ -104,4 +127,29 @@ def _unknown_structure(name: str, anatomy: CutAnatomy, shapes: Mapping[str, Shap
         f"be structures of the anatomy ({', '.join(known) or 'none'})",
         shown(name),
         remedy,
+    )
+
+
+def region_end(scene: Scene, parts: Parts) -> RegionEnd | None:
+    """Return an object that reports when the tool leaves the simulated region.
+
+    The result is None if the tool cannot leave this region.
+    """
+    whole = isinstance(scene.anatomy, BlockImage) and scene.anatomy.is_whole
+    # The region contains all of a scripted motion, and all of an image that is not cut out.
+    if scene.device is None or whole:
+        return None
+    assert parts.volume is not None
+    assert parts.cutter is not None
+    tissue = None
+    if is_procedural(scene.bone):
+        anatomy, hole = solid_of(scene, parts.motion)
+        tissue = anatomy.shape if hole is None else anatomy.shape - hole
+    reporters = (parts.tissue, parts.keep_clear)
+    return RegionEnd(
+        parts.volume,
+        parts.cutter,
+        margin_mm=scene.voxels.margin_mm,
+        tissue=tissue,
+        reporters=tuple(each for each in reporters if isinstance(each, StopsReporting)),
     )

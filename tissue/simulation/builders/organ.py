@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +12,7 @@ from meshes.base.placement import Placement
 from meshes.base.progress import Progress
 from meshes.base.text_tables import shown
 from meshes.organs.liver import Nodule, liver, liver_region, onto_liver, slab, slab_base
+from meshes.paths.toolpath import path_distance
 from meshes.surfaces.site import axes_along
 from meshes.tets.files import read_tets
 from meshes.tets.regions import Nodes, nodes_of_part
@@ -146,7 +146,7 @@ def held_mesh(
     def fine(mesh: TetMesh, onto: Move | None = None) -> TetMesh:
         return bisected(
             mesh,
-            lambda points: touch_edge_m + anatomy.edge_growth * _away(points, path_m),
+            lambda points: touch_edge_m + anatomy.edge_growth * path_distance(points, path_m),
             onto=onto,
         )
 
@@ -310,19 +310,6 @@ def _nodule(anatomy: WithNodule) -> Nodule | None:
         )
     x, y, z = (1e-3 * value for value in anatomy.nodule_centre_mm)
     return Nodule(0.5e-3 * anatomy.nodule_diameter_mm, (x, y, z))
-
-
-def _away(points_m: Array, path_m: Array) -> Array:
-    """Return the distance of each point from the path of the tip [m], shape (n,)."""
-    nearest = np.full(len(points_m), np.inf)
-    for start, end in pairwise(path_m):
-        along = end - start
-        # 1e-30 avoids a division by zero if the path rests at a corner.
-        share = np.clip((points_m - start) @ along / max(float(along @ along), 1e-30), 0.0, 1.0)
-        nearest = np.minimum(
-            nearest, np.linalg.norm(points_m - start - share[:, None] * along, axis=1)
-        )
-    return nearest
 
 
 def _from_file(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from meshes.base.cache import Kept
-from meshes.base.errors import InputError, by, is_file, names_of_caller
+from meshes.base.errors import InputError, by, names_of_caller
 from meshes.base.progress import Progress
 from meshes.paths.toolpath import kept_corners
 from meshes.tets.tetrahedra import TetMesh
@@ -267,33 +267,14 @@ def blade_of(scene: Scene) -> "IncisionBlade":
     )
 
 
-def _shell(tool: Probe) -> ShellProbe:
-    """Read a closed surface from a file.
+def probe_of(tool: Probe) -> ProbeShape:
+    """Return the shape that the tool table of a scene describes.
 
     Raises
     ------
     InputError
-        If the file is missing, or contains no closed surface.
+        If the file of a shape is missing, or contains no closed surface.
     """
-    file = Path(tool.file_name)
-    if not is_file(file):
-        raise InputError("tool.file", "exist", file, "check the path")
-    try:
-        with names_of_caller(dict.fromkeys(("mesh", *FILE_WORDS), "tool.file")):
-            return ShellProbe.from_mesh(file, scale=1e-3 * tool.scale)
-    except InputError:
-        raise
-    except Exception as problem:  # trimesh's readers raise whatever their format's parser does
-        raise InputError(
-            "tool.file",
-            "be a surface that can be read",
-            f"{file.name} (damaged or cut off)",
-            "export it as STL",
-        ) from problem
-
-
-def probe_of(tool: Probe) -> ProbeShape:
-    """Return the shape that the tool table of a scene describes."""
     make = PROBES[tool.kind].make
     radius = 0.5e-3 * tool.size_mm
     if make is not None:
@@ -305,7 +286,8 @@ def probe_of(tool: Probe) -> ProbeShape:
         # The radius of the rounded edge is a tenth of the tool's radius, at most 0.5 mm. At a sharp
         # edge the pressure would be infinite.
         return CylinderProbe(radius, min(0.1 * radius, 5e-4))
-    return _shell(tool)
+    with names_of_caller(dict.fromkeys(("mesh", *FILE_WORDS), "tool.file")):
+        return ShellProbe.from_mesh(tool.file_name, scale=1e-3 * tool.scale)
 
 
 def require_outside(mesh: TetMesh, motion: Motion) -> None:

@@ -27,7 +27,7 @@ from tissue.prediction.predictor import Hold, Kalman, Linear, Predictor
 from tissue.prediction.trained import Trained, general_operator, is_trained, shipped_file
 from tissue.scene.registry import PERCEPTIONS, PREDICTORS
 
-__all__ = ["CAUTION", "FALLBACKS", "maker_of", "perception", "perception_for", "trained_predictor"]
+__all__ = ["CAUTION", "FALLBACKS", "maker_of", "perception", "trained_predictor"]
 
 
 FALLBACKS = ("hold", "linear", "kalman")
@@ -133,19 +133,20 @@ def trained_predictor(
 
 
 def perception(
-    choice: str,
+    choice: str | Observer,
     *,
     rng: np.random.Generator,
     force_limit_N: float,
     tick_s: float,
     friction_N: float = inf,
 ) -> Perception:
-    """Return a perceptual map from its name in `PERCEPTIONS`.
+    """Return a perceptual map from its name in `PERCEPTIONS`, or for an observer.
 
     Parameters
     ----------
     choice
-        Name of the perceptual map and, for maps that need one, its argument, such as a file.
+        Observer; or the name of a perceptual map and, for maps that need one, its argument, such as
+        a file.
     rng
         Random generator of the sensory noise of the person.
     force_limit_N
@@ -162,25 +163,15 @@ def perception(
     InputError
         If the name is unknown or the file cannot be used.
     """
-    name, argument = PERCEPTIONS.split(choice, "none")
-    limits = {"force_limit_N": force_limit_N, "tick_s": tick_s, "friction_N": friction_N}
-    make = PERCEPTIONS[name]
-    if make is not None:
-        made: Perception = make(argument, rng=rng, **limits)
-        return made
-    observer = population_observer() if name == "population" else read_observer(Path(argument))
-    return perception_for(observer, rng=rng, **limits)
-
-
-def perception_for(
-    observer: Observer,
-    *,
-    rng: np.random.Generator,
-    force_limit_N: float,
-    tick_s: float,
-    friction_N: float = inf,
-) -> PerceivedForce:
-    """Return the perceptual map for an observer at a device; see `perception`."""
+    observer = choice
+    if isinstance(observer, str):
+        name, argument = PERCEPTIONS.split(observer, "none")
+        make = PERCEPTIONS[name]
+        if make is not None:
+            limits = {"force_limit_N": force_limit_N, "tick_s": tick_s, "friction_N": friction_N}
+            made: Perception = make(argument, rng=rng, **limits)
+            return made
+        observer = population_observer() if name == "population" else read_observer(Path(argument))
     device = ForceRange(limit_N=force_limit_N)
     knee_N = device.knee_N
     reference = reference_observer()

@@ -89,23 +89,28 @@ class Publisher(RunObserver):
         self._scene = scene
         self._process: Any = None
         self._failed: Events = []
+        self._missed = 0
+        self._skipped_us = 0.0
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Start to publish."""
         self._process = PublishingProcess(self._scene, parts, columns)
 
-    def clock_of(self, times: Array) -> Clock:
-        """Return the clock values that the process receives with a tick.
+    def _clock(self, times: Array) -> Clock:
+        """Return duration and lateness of a tick [µs], missed deadlines and skipped time [ms].
 
-        The values are 0, because the publisher for ROS 2 does not use them.
+        The last two columns of the timing are the lateness of a tick and the skipped time [µs].
         """
-        return 0.0, 0.0, 0.0, 0.0
+        tick_us, late_us, skipped_us = times[[0, -2, -1]].tolist()
+        self._missed += tick_us + late_us > DEADLINE_US
+        self._skipped_us += skipped_us
+        return tick_us, late_us, float(self._missed), 1e-3 * self._skipped_us
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
         """Publish the tick; return whether the run continues."""
         if self._process is None:
             return True
-        self._process.show(index, row, self.clock_of(times))
+        self._process.show(index, row, self._clock(times))
         if index % LOOK_TICKS == 0 and (words := self._process.failed()) is not None:
             with_run = ", and the run ended with it" * self.ends_run
             self._failed.append((float(row[0]), f"{self.what} ended by itself{with_run}: {words}"))
@@ -283,8 +288,6 @@ class SlicerProcess(WindowProcess):
 class SlicerPublisher(Publisher):
     """Observer that publishes a live run for 3D Slicer; a client may move the tool.
 
-    The last two columns of the timing are the lateness of a tick and the skipped time [µs].
-
     Parameters
     ----------
     scene
@@ -303,8 +306,6 @@ class SlicerPublisher(Publisher):
         self._link = link
         self._mouse = mouse
         self.ends_run = mouse is not None
-        self._missed = 0
-        self._skipped_us = 0.0
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Start to publish, and report the address."""
@@ -320,13 +321,6 @@ class SlicerPublisher(Publisher):
         wanted = self._process.target()
         if wanted is not None:
             push(self._mouse, wanted[0], self._start, self._scene.motion_scale, turn=wanted[1])
-
-    def clock_of(self, times: Array) -> Clock:
-        """Return duration and lateness of a tick [µs], missed deadlines and skipped time [ms]."""
-        tick_us, late_us, skipped_us = times[[0, -2, -1]].tolist()
-        self._missed += tick_us + late_us > DEADLINE_US
-        self._skipped_us += skipped_us
-        return tick_us, late_us, float(self._missed), 1e-3 * self._skipped_us
 
     def on_event(self, time_s: float, what: str) -> None:
         """Publish an event."""

@@ -29,7 +29,6 @@ from tissue.simulation.live.publisher import (
 from tissue.simulation.live.window import Page, WindowProcess, push, require_web
 from tissue.simulation.observer import (
     LOOK_TICKS,
-    Observers,
     Paced,
     Prioritised,
 )
@@ -217,7 +216,7 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
             run = simulate(
                 scene,
                 device=mouse if by_mouse else opened_device(scene),
-                observer=Observers(prioritised, observer, *publishers.values()),
+                observers=(prioritised, observer, *publishers.values()),
                 **settings,
             )
             if not observer.reset:

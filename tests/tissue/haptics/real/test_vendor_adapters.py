@@ -116,44 +116,17 @@ def test_a_touch_is_read_and_pushed_in_the_vendors_thread_alone(monkeypatch, cap
     assert capsys.readouterr().out == ""  # what the package prints is not shown
 
 
-def test_closing_one_of_two_touches_leaves_the_other_running(monkeypatch):
-    """Closing one of two Touches leaves the other running.
-
-    Each device plays its own force in its own frame, and closing the last one stops the scheduler.
-    """
+def test_a_second_touch_is_refused_and_the_first_is_left_running(monkeypatch):
     device = OpenHaptics().install(monkeypatch)
-    turning = threading.Event()
-
-    def turn():
-        while not turning.is_set():
-            device.step()
-            time.sleep(5e-4)
-
-    servo = threading.Thread(target=turn)
     with OpenHapticsAdapter(Hardware(address="left")) as left:
-        servo.start()
-        with OpenHapticsAdapter(Hardware(address="right")) as right:
-            until = time.perf_counter() + 0.1
-            while time.perf_counter() < until:
-                left.push(FORCE, TORQUE)
-                right.push(-FORCE, TORQUE)
-            assert OpenHapticsAdapter.find("left")[0].detail == "in use by this program"
-        assert device.played[1][-1] == (0.0, 0.0, 0.0) and {(-1.0, 2.0, -3.0)} <= set(
-            device.played[1]
-        )
-        assert (
-            "stop" not in device.calls
-            and device.calls.count("start") == 1
-            and "close 1" in device.calls
-        )
-        left.poll()
-        left.push(FORCE, TORQUE)
-        time.sleep(0.02)
-        assert left.poll() is not None and device.played[0][-1] == tuple(FORCE)
-    turning.set()
-    servo.join()
-    assert not {(-1.0, 2.0, -3.0)} & set(device.played[0])
-    assert device.calls[-2:] == ["stop", "close 0"]
+        assert OpenHapticsAdapter.find("left")[0].detail == "in use by this program"
+        with pytest.raises(InputError, match=r"got right\. Close left"):
+            OpenHapticsAdapter(Hardware(address="right")).__enter__()
+        device.step()
+        assert left.poll() is not None
+    with OpenHapticsAdapter(Hardware(address="right")):
+        device.step()
+    assert device.calls.count("start") == device.calls.count("stop") == 2
 
 
 def test_velocities_of_a_touch_are_taken_over_ten_calls(monkeypatch):

@@ -38,7 +38,7 @@ def test_section_holds_the_voxels_at_the_deepest_point(run):
 
 def test_legend_and_title_of_a_section_name_what_is_drawn(run, tmp_path):
     section = section_of(run, len(run.trace.rows) - 1)
-    labels = [each.get_label() for each in _handles(run, section, borders=False)]
+    labels = [each.get_label() for each in _handles(run, section)]
     gone = (section.start >= 0.5) & (section.start - section.left >= 0.5)
     layers = [f"removed {run.volume.layer_names[i]}" for i in np.unique(section.layer[gone])]
     assert layers and [each for each in labels if each.startswith("removed")] == layers

@@ -1,6 +1,6 @@
 """Fields of a saved run on tetrahedra.
 
-The tests cover names, scales over time, the mesh between two frames, and values at a point.
+The tests cover names, scales over time, the mesh between two frames, and the drawn part.
 """
 
 import numpy as np
@@ -88,29 +88,6 @@ def _affine(tmp_path, gradient):
         tmp_path,
     )
     return SavedFields(tmp_path), frames[1]
-
-
-def test_a_point_is_read_by_the_cells_own_shape_functions(tmp_path):
-    random = np.random.default_rng(3)
-    gradient = 0.1 * random.normal(size=(3, 3))
-    fields, frame = _affine(tmp_path, gradient)
-    shown = FieldsShown(RecordingPlotter(), fields, scale=2.0)
-    shown.show("von_mises_kPa")
-    shown.at(1.0)
-    for place in random.uniform((-19.0, -19.0, -19.0), (19.0, 19.0, -1.0), (20, 3)):
-        found = shown.read(place)
-        # Linear tetrahedra hold an affine displacement exactly.
-        assert found.values["displacement_mm"] == pytest.approx(
-            gradient @ place, abs=20.0 * ROUNDING
-        )
-        assert found.place_mm == pytest.approx(place + 2.0 * gradient @ place, abs=40.0 * ROUNDING)
-        assert found.layer == PARTS[int(place[2] > -10.0)]
-        assert found.values["von_mises_kPa"] in frame.cells["von_mises_kPa"]
-    assert shown.read(np.array([0.0, 0.0, 5.0])) is None
-    shown.at(0.5)
-    assert shown.read(place).values["displacement_mm"] == pytest.approx(
-        0.5 * gradient @ place, abs=20.0 * ROUNDING
-    )
 
 
 def test_deformed_cut_and_without_a_part(tmp_path):

@@ -56,7 +56,7 @@ class Scene:
             {"wall": (1.0, 0.0, 0.5)},
             SimpleNamespace(name="wall"),
         )
-        self.is_cut_open = self.can_be_cut_open = False
+        self.is_cut_open = self.is_bone = False
         self.target_options = {
             "start_mm": np.zeros(3),
             "axis": np.array([0.0, 0.0, 1.0]),

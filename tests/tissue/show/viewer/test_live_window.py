@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tissue.show.viewer.live.live_scene import KEY_MM, NOTCH_MM, LiveOrgan, Pointer
+from tissue.show.viewer.live.live_scene import KEY_MM, NOTCH_MM, Pointer, add_organ
 from tissue.simulation.live.shared import (
     FADES_MM,
     OrganShared,
@@ -132,7 +132,8 @@ def test_the_drawn_organ_moves_where_it_is_known_and_fades_beyond(tmp_path):
     shared = OrganShared(organ)
     arrays = SharedArrays(tmp_path, shared.layout)
     plotter = Plotter()
-    drawn = LiveOrgan(plotter, OrganSurface(shared.start, arrays))
+    drawn = OrganSurface(shared.start, arrays)
+    add_organ(plotter, drawn)
     rest = np.array(plotter.meshes["mesh"].points)
     assert not drawn.update()
     organ.moved[:] = (0.0, 0.0, -2e-3)

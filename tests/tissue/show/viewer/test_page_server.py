@@ -15,7 +15,6 @@ from tissue.show.viewer.web import server as served
 from tissue.show.viewer.web.server import (
     HOST,
     MessageError,
-    Pace,
     PageServer,
     parse,
     refusal,
@@ -224,19 +223,6 @@ def test_hostile_messages_close_the_socket_with_a_reason_and_the_next_page_is_se
     assert message.extra.isascii() and 10 < len(message.extra) <= 123
     assert hello == {"hello": {"scene": "wall"}} and taken == [("zoom", {"by": 2})]
     assert not caplog.records  # an exception of a handler is logged
-
-
-@pytest.mark.parametrize("rate_Hz", [60.0, 250.0])
-def test_the_pace_of_a_person_is_never_held_back(rate_Hz):
-    pace = Pace()
-    assert not any(pace.wait_s(100.0 + count / rate_Hz) for count in range(2000))
-
-
-def test_a_flood_of_messages_is_read_at_a_bounded_rate():
-    pace, time_s = Pace(), 0.0
-    for _ in range(2000):
-        time_s += pace.wait_s(time_s)
-    assert time_s == pytest.approx((2000 - 200) / 400.0, abs=0.01)
 
 
 def test_a_page_that_reads_no_more_is_cut_off_and_the_frames_go_on(monkeypatch):

@@ -23,24 +23,16 @@ async function inflateAll(record) {
   await Promise.all(waiting);
 }
 
+const KINDS = { u1: Uint8Array, i2: Int16Array, i4: Int32Array };
+
 // Whole numbers of a packed array, row by row.
-function whole(packed) {
-  const { rows, columns, data } = packed;
-  const size = Number(packed.kind.slice(1));
-  const count = rows * columns;
-  const shift = 32 - 8 * size;
-  const values = new Int32Array(count);
+function whole({ rows, columns, kind, data }) {
+  const steps = new KINDS[kind](data.buffer);
+  const values = new KINDS[kind](rows * columns);
   for (let column = 0; column < columns; column++) {
-    let last = 0;
     for (let row = 0; row < rows; row++) {
-      let value = 0;
-      for (let plane = 0; plane < size; plane++) {
-        value |= data[plane * count + column * rows + row] << (8 * plane);
-      }
-      if (packed.differences) last += (value >>> 1) ^ -(value & 1);
-      else last = value;
-      last = packed.kind[0] === "u" ? (last << shift) >>> shift : (last << shift) >> shift;
-      values[row * columns + column] = last;
+      const at = row * columns + column;
+      values[at] = steps[column * rows + row] + (row ? values[at - columns] : 0);
     }
   }
   return values;
@@ -56,12 +48,5 @@ function numbers(packed) {
 
 // Points and triangles of a surface.
 function surface(mesh) {
-  const codes = whole(mesh.corners);
-  const corners = new Uint32Array(codes.length);
-  let unnamed = 0;
-  for (let i = 0; i < codes.length; i++) {
-    corners[i] = unnamed - codes[i];
-    if (codes[i] === 0) unnamed++;
-  }
-  return { points: numbers(mesh.points), corners };
+  return { points: numbers(mesh.points), corners: Uint32Array.from(whole(mesh.corners)) };
 }

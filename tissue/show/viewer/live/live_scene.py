@@ -11,7 +11,7 @@ from vtkmodules.vtkCommonDataModel import vtkPlane
 from meshes.base.arrays import Array
 from tissue.scene.scene import Scene
 from tissue.show.figures.figure import layer_colours
-from tissue.show.figures.tool_mesh import faces_of, tool_turns, turning_tool
+from tissue.show.figures.tool_mesh import faces_of, turning_tool
 from tissue.show.viewer.fields import layer_look
 from tissue.show.viewer.plotter import Plotter, aim, new_plotter
 from tissue.show.viewer.run_scene import ToolShown
@@ -80,7 +80,7 @@ class Readings:
         plays = "device_force_x_N" in table
         return cls(
             tip_mm=table.vectors("tool", "mm")[0],
-            turn=tool_turns(table)[0],
+            turn=table.quaternions()[0],
             force_N=table.vectors("model_force", "N")[0],
             torque_Nm=table.vectors("model_torque", "Nm")[0],
             device_N=float(np.linalg.norm(table.vectors("device_force", "N")[0]))
@@ -108,119 +108,6 @@ AROUND = 0.7
 ORGAN = "#CC8E7D"
 
 
-def live_tissue(
-    plotter: Plotter, start: Start, arrays: SharedArrays
-) -> "LiveBone | LiveOrgan | None":
-    """Draw the tissue of a live run in a plotter, and return the drawn object.
-
-    The data come from the arrays that `tissue.simulation.live` shares between processes.
-
-    The result is None if the tissue has no shared arrays.
-    """
-    match tissue_surface(start, arrays):
-        case BoneSurface() as bone:
-            return LiveBone(plotter, bone)
-        case OrganSurface() as organ:
-            return LiveOrgan(plotter, organ)
-    return None
-
-
-class LiveBone:
-    """Bone of a live run, coloured by layer.
-
-    Parameters
-    ----------
-    plotter
-        Plotter of the bone.
-    bone
-        Surface of the bone.
-
-    Attributes
-    ----------
-    points_mm
-        Points that must be in view [mm], shape (n, 3).
-    colours
-        Colours of the existing layers (red, green and blue, 0 to 1), keyed by name.
-    cut
-        Plane in front of which the bone is not drawn, or None.
-    """
-
-    def __init__(self, plotter: Plotter, bone: BoneSurface) -> None:
-        self._plotter = plotter
-        self._bone = bone
-        self.cut: vtkPlane | None = None
-        names = bone.volume.layer_names
-        colours = layer_colours(names)
-        self._look = layer_look(names)
-        there = [names[i] for i in np.unique(bone.volume.layer[bone.volume.fraction > 0])]
-        self.colours = {name: colours[name] for name in there}
-        self._draw()
-        self.points_mm: Array = np.asarray(bone.surface.points, dtype=np.float64)
-
-    def update(self) -> bool:
-        """Draw the bone again if it has changed since the last call; return True if it has."""
-        changed = self._bone.update()
-        if changed:
-            self._draw()
-        return changed
-
-    def _draw(self) -> None:
-        surface = self._bone.surface
-        # all bone is removed: the last surface must not stay in view
-        if not surface.n_cells:
-            self._plotter.remove_actor("bone", render=False)
-            return
-        with_layers(surface, self._bone.volume)
-        surface.point_data["Normals"] = smooth_normals(surface, passes=PASSES)
-        actor = self._plotter.add_mesh(surface, name="bone", **self._look)
-        if self.cut is not None:
-            actor.mapper.AddClippingPlane(self.cut)
-
-    def cut_open(self, plane: vtkPlane | None) -> None:
-        """Draw only the bone behind a plane; without a plane, draw all bone."""
-        self.cut = plane
-        self._draw()
-
-
-class LiveOrgan:
-    """Surface of the soft organ of a live run.
-
-    Parameters
-    ----------
-    plotter
-        Plotter of the organ.
-    organ
-        Surface of the organ.
-
-    Attributes
-    ----------
-    points_mm
-        Points that must be in view [mm], shape (n, 3).
-    colours
-        Empty, because the organ has only one colour.
-    """
-
-    def __init__(self, plotter: Plotter, organ: OrganSurface) -> None:
-        self.colours: dict[str, tuple[float, float, float]] = {}
-        self._organ = organ
-        plotter.add_mesh(
-            organ.surface,
-            color=ORGAN,
-            smooth_shading=True,
-            show_edges=True,
-            edge_color="#B07365",
-            line_width=0.5,
-            specular=0.2,
-            reset_camera=False,
-        )
-        patch = organ.touchable_mm
-        self.points_mm: Array = patch + AROUND * (patch - patch.mean(axis=0))
-
-    def update(self) -> bool:
-        """Draw the surface at its current position; return True if the surface has moved."""
-        return self._organ.update()
-
-
 class LiveScene:
     """Drawn objects of a live run: tissue, tool, force, coupling spring and mark of the device.
 
@@ -243,10 +130,12 @@ class LiveScene:
         Scene of the run.
     plotter
         PyVista's plotter.
-    tissue
-        Drawn tissue that changes; None for a tissue that does not change.
+    is_bone
+        True for a scene with bone, which can be cut open.
+    is_cut_open
+        True if the bone between the camera and the tool is left out.
     colours
-        Colours of the shown objects (red, green and blue, 0 to 1), keyed by name.
+        Colours of the layers of the bone and of faces (red, green and blue, 0 to 1), keyed by name.
     points_mm
         Points that must be in view [mm], shape (n, 3).
     target_options
@@ -261,79 +150,70 @@ class LiveScene:
         margins: tuple[float, float, float, float],
         off_screen: bool = False,
     ) -> None:
-
         self.arrays = SharedArrays(folder)
-        scene, start = read_start(folder)
-        self.scene = scene
+        self.scene, start = read_start(folder)
         self._start = start
         self._columns = tuple(json.loads((folder / "columns.json").read_text("utf-8")))
-        self.plotter = new_plotter(
-            size_px, title=f"tissue: {scene.name}, live", off_screen=off_screen
-        )
-        self.tissue = live_tissue(self.plotter, start, self.arrays)
-        faces = faces_of(scene)
-        colours = layer_colours(tuple(faces))
-        for name, face in faces.items():
-            self.plotter.add_mesh(
-                face,
-                color=colours[name],
-                opacity=0.6,
-                # a wall has no shape of its own; its squares show where it is
-                show_edges=name == "wall",
-                edge_color="white",
-            )
-        self.colours = {**colours, **(self.tissue.colours if self.tissue is not None else {})}
-        seen = [1e3 * start["start_m"][None], *(np.asarray(face.points) for face in faces.values())]
-        if self.tissue is not None:
-            seen.append(self.tissue.points_mm)
-        self.points_mm: Array = np.vstack(seen)
-        self._add_tool()
-        aim(self.plotter, self.points_mm, margins=margins)
+        title = f"tissue: {self.scene.name}, live"
+        self.plotter = new_plotter(size_px, title=title, off_screen=off_screen)
         self.target_options = {
             "start_mm": 1e3 * start["start_m"],
             "axis": start["axis"],
             "low_mm": 1e3 * start["low_m"],
             "high_mm": 1e3 * start["high_m"],
         }
-        self._updated = 0.0
-        self._took = 0.0
-        self._largest = LEAST_N
+        self._tissue = tissue_surface(start, self.arrays)
+        self.is_bone = isinstance(self._tissue, BoneSurface)
+        self.is_cut_open = False
         self._cut = vtkPlane()
+        self._updated = self._took = 0.0
+        self._largest = LEAST_N
+        faces = faces_of(self.scene)
+        self.colours = layer_colours(tuple(faces))
+        seen = [self.target_options["start_mm"][None], *(face.points for face in faces.values())]
+        match self._tissue:
+            case BoneSurface() as bone:
+                volume = bone.volume
+                there = np.unique(volume.layer[volume.fraction > 0])
+                colours = layer_colours(volume.layer_names)
+                self.colours |= {
+                    volume.layer_names[i]: colours[volume.layer_names[i]] for i in there
+                }
+                self._draw_bone(bone)
+                seen.append(bone.surface.points)
+            case OrganSurface() as organ:
+                add_organ(self.plotter, organ)
+                patch = organ.touchable_mm
+                seen.append(patch + AROUND * (patch - patch.mean(axis=0)))
+        self.points_mm: Array = np.vstack(seen)
+        for name, face in faces.items():
+            self.plotter.add_mesh(
+                face,
+                color=self.colours[name],
+                opacity=0.6,
+                # a wall has no shape of its own; its squares show where it is
+                show_edges=name == "wall",
+                edge_color="white",
+            )
+        self._add_tool()
+        aim(self.plotter, self.points_mm, margins=margins)
         self._place_cut(self.target_options["start_mm"])
-
-    @property
-    def can_be_cut_open(self) -> bool:
-        """True for a scene with bone."""
-        return isinstance(self.tissue, LiveBone)
-
-    @property
-    def is_cut_open(self) -> bool:
-        """True if the bone between the camera and the tool is left out."""
-        return isinstance(self.tissue, LiveBone) and self.tissue.cut is not None
 
     def cut_open(self, is_open: bool) -> None:
         """Hide the bone between camera and tool if ``is_open`` is True; show it otherwise."""
-        if isinstance(self.tissue, LiveBone) and is_open != self.is_cut_open:
-            self.tissue.cut_open(self._cut if is_open else None)
-
-    def _place_cut(self, tip_mm: Array) -> None:
-        """Place the cut through the tip and along the axis of the tool, facing the camera."""
-        axis = self.target_options["axis"]
-        forward = np.array(self.plotter.camera.GetDirectionOfProjection())
-        across = forward - (forward @ axis) * axis
-        # A camera that looks nearly along the tool (within 6 degrees) has no such plane.
-        size = float(np.linalg.norm(across))
-        normal = across / size if size > 0.1 else forward
-        self._cut.SetOrigin(*tip_mm)
-        self._cut.SetNormal(*normal)
+        if isinstance(self._tissue, BoneSurface) and is_open != self.is_cut_open:
+            self.is_cut_open = is_open
+            self._draw_bone(self._tissue)
 
     def update_tissue(self) -> bool:
         """Update the tissue if an update is due; return whether the tissue changed."""
         now = perf_counter()
         # an update takes at most half of the time, so that the tool still moves smoothly
-        if self.tissue is None or now - self._updated <= max(TISSUE_S, 2.0 * self._took):
+        if self._tissue is None or now - self._updated <= max(TISSUE_S, 2.0 * self._took):
             return False
-        changed = self.tissue.update()
+        changed = self._tissue.update()
+        if changed and isinstance(self._tissue, BoneSurface):
+            self._draw_bone(self._tissue)
         self._updated = now
         self._took = perf_counter() - now
         return changed
@@ -358,6 +238,31 @@ class LiveScene:
         self._tool.show(readings.tip_mm, readings.turn, readings.force_N, largest_N=self._largest)
         return readings
 
+    def _draw_bone(self, bone: BoneSurface) -> None:
+        """Draw the bone again, coloured by layer."""
+        surface = bone.surface
+        # all bone is removed: the last surface must not stay in view
+        if not surface.n_cells:
+            self.plotter.remove_actor("bone", render=False)
+            return
+        with_layers(surface, bone.volume)
+        surface.point_data["Normals"] = smooth_normals(surface, passes=PASSES)
+        look = layer_look(bone.volume.layer_names)
+        actor = self.plotter.add_mesh(surface, name="bone", **look)
+        if self.is_cut_open:
+            actor.mapper.AddClippingPlane(self._cut)
+
+    def _place_cut(self, tip_mm: Array) -> None:
+        """Place the cut through the tip and along the axis of the tool, facing the camera."""
+        axis = self.target_options["axis"]
+        forward = np.array(self.plotter.camera.GetDirectionOfProjection())
+        across = forward - (forward @ axis) * axis
+        # A camera that looks nearly along the tool (within 6 degrees) has no such plane.
+        size = float(np.linalg.norm(across))
+        normal = across / size if size > 0.1 else forward
+        self._cut.SetOrigin(*tip_mm)
+        self._cut.SetNormal(*normal)
+
     def _add_tool(self) -> None:
         """Add the tool, the mark of the device and the spring between them."""
         import pyvista
@@ -373,13 +278,34 @@ class LiveScene:
         self._tool = ToolShown(self.plotter, tool, longest_mm=0.25 * size_mm, opacity=0.5)
 
 
+def add_organ(plotter: Plotter, organ: OrganSurface) -> None:
+    """Draw the surface of a soft organ, whose points move with each update."""
+    plotter.add_mesh(
+        organ.surface,
+        color=ORGAN,
+        smooth_shading=True,
+        show_edges=True,
+        edge_color="#B07365",
+        line_width=0.5,
+        specular=0.2,
+        reset_camera=False,
+    )
+
+
 NOTCH_MM = 0.5
 KEY_MM = 0.5
 """Travel for a notch of the wheel and for a key press [mm], a fraction of a small burr."""
-DEEPER = ("Next", "s")
-HIGHER = ("Prior", "w")
-ARROWS = {"Left": (-1.0, 0.0), "Right": (1.0, 0.0), "Up": (0.0, 1.0), "Down": (0.0, -1.0)}
-"""Directions (right, up) in the view, keyed by key."""
+KEYS = {
+    "Left": (-1.0, 0.0, 0.0),
+    "Right": (1.0, 0.0, 0.0),
+    "Up": (0.0, 1.0, 0.0),
+    "Down": (0.0, -1.0, 0.0),
+    "s": (0.0, 0.0, -1.0),
+    "w": (0.0, 0.0, 1.0),
+}
+"""Directions to the right and upward in the view, and outward along the tool, keyed by key."""
+SAME_KEYS = {"Next": "s", "PageDown": "s", "Prior": "w", "PageUp": "w"}
+"""Other names of keys in `KEYS`, in VTK and in browsers."""
 
 
 class Target:
@@ -431,15 +357,12 @@ class Target:
     def press(self, key: str) -> None:
         """Move the position by `KEY_MM` in the direction of a key.
 
-        The key is given by its name in VTK. Keys without a direction are ignored.
+        The key is given by its name in VTK or in a browser. Keys without a direction are ignored.
         """
-        if key in ARROWS:
-            right, up = ARROWS[key]
-            self.across(KEY_MM * right, KEY_MM * up)
-        elif key in DEEPER:
-            self.along(-KEY_MM)
-        elif key in HIGHER:
-            self.along(KEY_MM)
+        key = SAME_KEYS.get(key, key).removeprefix("Arrow")
+        right, up, outward = KEY_MM * np.array(KEYS.get(key, (0.0, 0.0, 0.0)))
+        self.across(right, up)
+        self.along(outward)
 
     @property
     def mm_per_pixel(self) -> float:

@@ -42,8 +42,7 @@ class LiveWindow:
         self.shown = LiveScene(folder, size_px=SIZE, margins=MARGINS)
         self.plotter = self.shown.plotter
         self.arrays = self.shown.arrays
-        if self.shown.tissue is not None:
-            add_names(self.plotter, self.shown.tissue.colours)
+        add_names(self.plotter, self.shown.colours)
         # shares of the window: help in the lower left corner, readings in the upper left one
         for row, line in enumerate(HELP):
             add_text(self.plotter, line, (0.012, 0.1 - 0.025 * row))

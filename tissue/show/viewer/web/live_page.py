@@ -24,17 +24,6 @@ ABOVE = 0.3
 """Visible height above the tip of the tool, relative to the size of the scene; larger than the
 longest arrow.
 """
-KEYS = {
-    "ArrowLeft": "Left",
-    "ArrowRight": "Right",
-    "ArrowUp": "Up",
-    "ArrowDown": "Down",
-    "PageDown": "Next",
-    "PageUp": "Prior",
-    "s": "s",
-    "w": "w",
-}
-"""Names of keys in VTK, keyed by the names in a browser."""
 
 
 class LivePage:
@@ -90,7 +79,7 @@ class LivePage:
         from matplotlib.colors import to_hex
 
         legend = {name: to_hex(colour) for name, colour in self.shown.colours.items()}
-        cut = self.shown.is_cut_open if self.shown.can_be_cut_open else None
+        cut = self.shown.is_cut_open if self.shown.is_bone else None
         return {"scene": self.shown.scene.name, "legend": legend, "cut": cut}
 
     def attend(self, attended: bool) -> None:
@@ -155,8 +144,8 @@ class LivePage:
             self.target.across(tall_mm * float(values["right"]), tall_mm * float(values["up"]))
         elif do == "depth":
             self.target.along(NOTCH_MM * float(values["notches"]))
-        elif do == "key" and values["name"] in KEYS:
-            self.target.press(KEYS[str(values["name"])])
+        elif do == "key":
+            self.target.press(str(values["name"]))
 
     def _hold(self) -> None:
         self.arrays["paused"][0] = int(self._paused or not self._attended)

@@ -21,12 +21,6 @@ LARGEST = 1024
 
 The longest expected message contains the name of a field, and has some hundred bytes.
 """
-MOST_PER_S = 400.0
-AT_ONCE = 200.0
-"""Largest number of messages that are read per second, and at once after a pause.
-
-A page sends a message for each motion of the mouse and for each picture, some 150 per second.
-"""
 LONGEST_REASON = 123
 """Longest reason for closing a WebSocket, according to RFC 6455 [bytes]."""
 Values = dict[str, float | bool | str]
@@ -78,29 +72,6 @@ def parse(text: str) -> tuple[str, Values]:
         if not fits or (name in ranges and not low <= value <= high):
             raise MessageError(f"{name} of {do} must be in its range")
     return do, found
-
-
-class Pace:
-    """Limit of the rate at which messages are read.
-
-    At most `MOST_PER_S` messages are read per second. After a pause, up to `AT_ONCE` messages are
-    read without delay.
-
-    Further messages of a page wait in the buffers of the browser.
-    """
-
-    def __init__(self) -> None:
-        self._left = AT_ONCE
-        self._time_s = 0.0
-
-    def wait_s(self, time_s: float) -> float:
-        """Count a message that arrived at ``time_s``, and return the time to wait after it [s].
-
-        The next message must not be read before this time has passed.
-        """
-        self._left = min(self._left + MOST_PER_S * (time_s - self._time_s), AT_ONCE) - 1.0
-        self._time_s = time_s
-        return max(-self._left, 0.0) / MOST_PER_S
 
 
 PAGE = Path(__file__).parent / "page"
@@ -268,7 +239,6 @@ class PageServer:
         if before is not None:
             await _close(before, its_line, REPLACED, "another page shows it now")
         session = self._session
-        pace = Pace()
         loop = asyncio.get_running_loop()
         await socket.send_str(json.dumps({"hello": session.hello()}))
         session.attend(True)
@@ -281,7 +251,8 @@ class PageServer:
                     self._drawing = True
                 else:
                     session.take(do, values)
-                await asyncio.sleep(pace.wait_s(loop.time()))
+                # pictures are drawn between messages, however many messages come
+                await asyncio.sleep(0.0)
                 if request.transport is None or request.transport.is_closing():
                     break  # the page is gone, and its earlier messages are ignored
         except MessageError as error:

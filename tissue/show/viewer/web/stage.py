@@ -1,17 +1,15 @@
-"""Off-screen view for a page, which rotates it; pictures are JPEG, and the colour scale is data."""
+"""Off-screen view for a page, which rotates it; pictures are JPEG."""
 
 from collections.abc import Callable
 from io import BytesIO
-from math import floor, log10
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 
 from tissue.show.viewer.plotter import Plotter
 from tissue.show.viewer.web.server import Values
 
-__all__ = ["Stage", "taken_scale"]
+__all__ = ["Stage"]
 
 MOST_PX = 1_000_000
 """Largest picture [pixels]; for larger pictures, OpenGL in software takes longer than a frame."""
@@ -138,35 +136,3 @@ class Stage:
     def _viewed(self) -> None:
         self._plotter.renderer.ResetCameraClippingRange()
         self._turned = self.changed = True
-
-
-STOPS = 24
-MARKS = 5
-"""Number of colours and labels along a scale."""
-
-
-def taken_scale(plotter: Plotter) -> dict[str, Any] | None:
-    """Hide the colour scale of a plotter; return title, colours and labels of the scale.
-
-    The colours are ``#rrggbb`` from low to high. The result is None if there is no scale.
-    """
-    from matplotlib.colors import to_hex
-
-    found = None
-    for title, bar in plotter.scalar_bars.items():
-        bar.SetVisibility(False)
-        table = bar.GetLookupTable()
-        low, high = table.GetTableRange()
-        spaced = np.geomspace if table.UsingLogScale() else np.linspace
-        colours = []
-        for value in spaced(low, high, STOPS).tolist():
-            colour = [0.0, 0.0, 0.0]
-            table.GetColor(value, colour)
-            colours.append(to_hex((colour[0], colour[1], colour[2])))
-        # three digits of the scale's range; beyond four decimals, significant digits are shorter
-        digits = max(2 - floor(log10(max(high - low, 1e-12))), 0)
-        kind = ".2g" if table.UsingLogScale() or digits > 4 else f".{digits}f"
-        labels = [format(value, kind) for value in spaced(low, high, MARKS).tolist()]
-        # the lines after the first are written by the page itself
-        found = {"title": title.split("\n")[0], "colours": colours, "labels": labels}
-    return found

@@ -12,12 +12,12 @@ from matplotlib.colors import to_hex
 
 from tissue.show.figures.figure import field_words
 from tissue.show.figures.tool_mesh import row_at
-from tissue.show.viewer.controls import Playback
+from tissue.show.viewer.playback import Playback
 from tissue.show.viewer.plotter import aim, new_plotter
 from tissue.show.viewer.run_scene import Choice, RunScene
 from tissue.show.viewer.saved_surfaces import tool_force
 from tissue.show.viewer.web.server import Values, serve
-from tissue.show.viewer.web.stage import Stage, taken_scale
+from tissue.show.viewer.web.stage import Stage
 from tissue.simulation.run_folder import SavedRun
 
 __all__ = ["ViewPage"]
@@ -74,7 +74,6 @@ class ViewPage:
         aim(self._plotter, extent_mm, margins=MARGINS)
         self.stage = Stage(self._plotter, lambda: aim(self._plotter, extent_mm, margins=MARGINS))
         self._dirty = True
-        self._changed()
 
     @property
     def time_s(self) -> float:
@@ -118,12 +117,12 @@ class ViewPage:
             self._playback.play(bool(values["on"]))
         elif do == "field" and values["name"] in self._choices:
             self.chosen = self._choose(str(values["name"]))
-            self._changed()
+            self.stage.changed = True
         elif do == "layer" and values["name"] in self._legend:
             self._hide(self.hidden ^ {str(values["name"])})
             # a hidden layer is visible in the colours of layers, not in those of depth
             self.chosen = self._choose(LAYER if self.chosen == DEPTH else self.chosen)
-            self._changed()
+            self.stage.changed = True
         elif do == "end":
             self.leave()
         self._dirty = True
@@ -138,15 +137,10 @@ class ViewPage:
             if self.time_s != self._shown_s:
                 self._shown_s = self.time_s
                 self.shown.at(self.time_s)
-                self._changed()
+                self.stage.changed = True
             self._dirty = False
             return self._figures(), self.stage.picture()
         return None, self.stage.picture()
-
-    def _changed(self) -> None:
-        """Draw the view again, without the colour scale, which the page draws."""
-        self._scale = taken_scale(self._plotter)
-        self.stage.changed = True
 
     def _all_choices(self) -> dict[str, str]:
         """Return the names and labels of all fields and colourings."""
@@ -173,8 +167,8 @@ class ViewPage:
 
     def _rows(self) -> list[list[float]]:
         """Return time [s], force [N] and its magnitude for the rows that a page can draw."""
-        trace = self._saved.trace
-        if trace is None or not len(trace.rows):
+        trace = self.shown.trace
+        if trace is None:
             return []
         every = slice(None, None, max(len(trace.rows) // MOST_ROWS, 1))
         force = tool_force(trace)[every]
@@ -189,9 +183,8 @@ class ViewPage:
             "playing": self._playback.playing,
             "chosen": self.chosen,
         }
-        figures["scale"] = self._scale
-        trace = self._saved.trace
-        if self.shown.moment is not None and trace is not None:
+        trace = self.shown.trace
+        if trace is not None:
             row = row_at(trace, self.time_s)
             kind = "model_torque" if "model_torque_x_Nm" in trace else "torque"
             cuts = "removed_mm3" in trace and trace["removed_mm3"][-1] > 0.0

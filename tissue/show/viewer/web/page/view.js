@@ -4,18 +4,6 @@
 const plot = new ForcePlot(byId("plot"), 0.01);
 let rows = [], span = [0, 1], playing = false, dragged = false;
 
-function drawScale(scale) {
-  byId("scale").hidden = scale === null;
-  if (scale === null) return;
-  byId("scale-title").textContent = scale.title;
-  byId("scale-bar").style.background = `linear-gradient(to top, ${scale.colours.join(", ")})`;
-  byId("scale-labels").replaceChildren(...[...scale.labels].reverse().map((label) => {
-    const line = document.createElement("span");
-    line.textContent = label.replace("-", "−");
-    return line;
-  }));
-}
-
 function write(figures) {
   playing = figures.playing;
   byId("play").textContent = playing ? "Pause" : "Play";
@@ -25,7 +13,6 @@ function write(figures) {
   byId("time").textContent = fixed(figures.time_s, 3);
   if (!dragged) byId("slider").value = figures.time_s;
   plot.show(rows, span, figures.time_s);
-  drawScale(figures.scale);
   if (figures.force_N === undefined) return;
   byId("force").firstChild.textContent = `${fixed(Math.hypot(...figures.force_N), 2)} `;
   byId("parts").textContent = `${figures.force_N.map((part) => fixed(part, 2).replace("-", "−")).join(", ")} N`;
