@@ -71,7 +71,8 @@ from tissue.scene.load import scene_names
         ),
         (
             ("run", "milling", "--duration-s", "1e-4"),
-            "duration_s must be at least 0.001 and at most 3600, got 0.0001. Use 5",
+            "duration_s must be at least 0.001 and at most 3600, got 0.0001. Use a value in this "
+            "range, such as 5",
         ),
         (
             ("run", "milling", "--duration-s", "nan"),
