@@ -64,7 +64,9 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
 
 
 def _scheduling_rows(summary: "Summary") -> Iterator[tuple[str, str]]:
-    """Yield rows on scheduling gaps, kernel launches and background work."""
+    """Yield rows on scheduling gaps, kernel launches and background work of a run in real time."""
+    if "late_us" not in summary:
+        return
     if (gaps := summary.get("machine_gaps")) is not None:
         gap = f"scheduling gaps longer than {1e-3 * gaps['least_us']:g} ms"
         yield f"{gap} (expected in this run)", f"{gaps['expected_in_ticks']:.0f}"

@@ -152,7 +152,7 @@ def overlay(
         first = loads[0].values[:, TORQUE].sum()
         _draw(axes, curves, loads, TORQUE, scale=-scale if first < 0.0 else scale)
     if len(loads) == 2:
-        panels[-1].set_ylabel("difference of\nthe forces / N")
+        panels[-1].set_ylabel("magnitude of the\nforce difference / N")
         panels[-1].plot(*_difference(*loads), color="0.3", linewidth=1.1)
     depth = "depth of the tool's tip from its first contact / mm"
     panels[-1].set_xlabel("time / s" if over == "time" else depth)

@@ -241,7 +241,7 @@ class Bone(Part):
     )
     """Lowest apparent density of cortical bone in a `density_file`."""
     articular_radius_mm: Annotated[float, Needs("anatomy.density_file")] = Field(0.0, ge=0, le=100)
-    """Distance from the site within which dense bone near the surface is the subchondral plate. Use
+    """Distance from the site. Within this distance, dense bone near the surface is subchondral. Use
     0 for a bone without a joint surface.
     """
     core_file: Annotated[FileName | None, Needs("anatomy.density_file", is_absent=True)] = Field(

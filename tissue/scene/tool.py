@@ -108,7 +108,9 @@ class Shaped(Part):
 
 
 class Tool(Shaped):
-    """A rotating cutter with flutes. Its envelope is a surface of revolution."""
+    """A rotating cutter with flutes. Its envelope is a surface of revolution. Concave cutters, such
+    as cup reamers for a convex joint head, are not modelled.
+    """
 
     diameter_mm: float = Field(gt=0.1, le=100, examples=[6.0])
     """Largest diameter."""

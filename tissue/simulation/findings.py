@@ -106,24 +106,25 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
         if start["cortical"] + start["subchondral"] < LEAST_DENSE * sum(start.values()):
             dense = scene.anatomy.cortical_above_kg_m3
             found["cortical bone"] = (
-                f"less than {LEAST_DENSE:.1%} of the bone in the region reaches {dense:g} kg/m3. "
-                "Thick voxels of a CT blur thin cortical bone; lower "
+                f"less than {100.0 * LEAST_DENSE:g} % of the bone in the region reaches {dense:g} "
+                "kg/m3. Thick voxels of a CT blur thin cortical bone; lower "
                 "anatomy.cortical_above_kg_m3, or import a finer CT"
             )
     if parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
         return found
+    if isinstance(scene.motion, PathMotion) and isinstance(scene.tool, Tool):
+        steps_mm = np.diff(np.array(scene.motion.points_mm), axis=0)
+        length_mm = float(np.linalg.norm(steps_mm, axis=1).sum())
+        # a path in metres is a thousand times shorter
+        if 0.0 < length_mm < 0.01 * scene.tool.diameter_mm:
+            found["length of the path"] = (
+                f"only {length_mm:.3g} mm, which is less than 1 % of the tool's diameter; check "
+                "that motion.points_mm is in mm"
+            )
     if not np.any(parts.tissue.removed_m3):
         found["removed"] = (
             "nothing: the tool cut no tissue; move it deeper, or let the run last longer"
         )
-        if isinstance(scene.motion, PathMotion) and isinstance(scene.tool, Tool):
-            steps_mm = np.diff(np.array(scene.motion.points_mm), axis=0)
-            length_mm = float(np.linalg.norm(steps_mm, axis=1).sum())
-            # a path in metres is a thousand times shorter
-            if length_mm < 0.1 * scene.tool.diameter_mm:
-                found["removed"] += (
-                    f". motion.points_mm is only {length_mm:.3g} mm long; check that it is in mm"
-                )
     elif isinstance(scene.anatomy, Tooth) and (missed := _missed_caries(scene.anatomy, parts)):
         found["removed"] = missed
     return found

@@ -21,7 +21,14 @@ from tissue.scene.load import full_key, load_scene, saved_text
 from tissue.scene.registry import ANATOMIES, TABLES
 from tissue.scene.scene import Scene
 from tissue.simulation.trace import FORMATS, Table, TraceWriter, read_trace
-from tissue.system.owned_folder import OwnedFolder, identity, is_alive, listed_files, require_folder
+from tissue.system.owned_folder import (
+    LOCK,
+    OwnedFolder,
+    identity,
+    is_alive,
+    listed_files,
+    require_folder,
+)
 from tissue.system.stopping import Terminated
 
 __all__ = [
@@ -455,6 +462,11 @@ def _no_run(folder: Path) -> InputError:
     if not folder.exists():
         got = f"{folder}{did_you_mean(closest(folder.name, near))}"
         return InputError("run", "be an existing folder", got, "check the path")
+    if (folder / LOCK).exists():
+        return InputError(
+            f"the run in {folder} has not begun: `tissue run` is preparing it, or was ended before "
+            "the first tick. Wait for it, or run the scene again"
+        )
     return InputError(
         "run", "be a folder that `tissue run` wrote", folder, "give for example runs/glenoid"
     )

@@ -39,6 +39,16 @@ def test_the_surface_of_a_label_keeps_its_volume_and_loses_its_steps(spacing_mm)
     away = away_mm(bone)
     assert abs(away.mean()) < 0.06 * max(spacing_mm) and away.std() < 0.12 * max(spacing_mm)
     assert bone.volume_mm3 == pytest.approx(mask.sum() * np.prod(spacing_mm), rel=0.015)
+    assert not bone.notes
+
+
+def test_the_volume_of_left_out_pieces_of_a_label_is_noted():
+    image = ball((1.0, 1.0, 1.0))
+    mask = ball_mask(image)
+    mask[0, 0, :2] = mask[-1, -1, -1] = True
+    assert by_label(image, mask).notes == (
+        "0.003 ml of the label lie in separate pieces and are left out.",
+    )
 
 
 @pytest.mark.parametrize("spacing_mm", SPACINGS)

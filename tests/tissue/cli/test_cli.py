@@ -71,7 +71,8 @@ from tissue.scene.load import scene_names
         ),
         (
             ("run", "milling", "--duration-s", "1e-4"),
-            "duration_s must be at least 0.001 and at most 3600, got 0.0001. Use 5",
+            "duration_s must be at least 0.001 and at most 3600, got 0.0001. Use a value in this "
+            "range, such as 5",
         ),
         (
             ("run", "milling", "--duration-s", "nan"),
@@ -147,6 +148,8 @@ def test_a_run_prints_its_figures_and_where_they_are(command, here):
         "files in runs/milling",
     ):
         assert word in output
+    # rows about scheduling are printed for a run in real time
+    assert "scheduling" not in output and "kernel launches" not in output
     assert "Warp" not in output
 
 

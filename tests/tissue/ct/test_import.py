@@ -67,10 +67,11 @@ def test_a_scene_is_ready_to_run(reference):
     assert np.allclose(scene.anatomy.normal, (0.0, 0.0, 1.0), atol=0.02)
     assert force.max() > 1.0
     notes = summary["notes"]
-    assert (
-        notes["density law"].startswith("line:1,500,apparent: median ")
-        and "90 % between" in notes["density law"]
-    )
+    # a line has no uncertainty, and a voxel below the surface is not corrected
+    law = r"line:1,500,apparent: median \d+ kg/m3; voxels below the surface from \d+ to \d+"
+    assert re.fullmatch(law, notes["density law"])
+    highest = int(notes["density law"].split()[-1])
+    assert highest == round(read_image(made.folder.parent / "ct.nrrd").values.max() + 500.0)
 
 
 def test_the_density_reaches_the_cutting_force(reference, tmp_path):
@@ -90,7 +91,13 @@ def test_a_bone_without_cortical_bone_is_noted(reference, tmp_path):
     assert "cortical bone" not in summary["notes"]
     porous = imported(made.folder.parent / "ct.nrrd", tmp_path / "out", density="line:1.0,-100.0")
     notes = force_N(porous)[1]["notes"]
-    assert notes["cortical bone"].startswith("none: no bone in the region reaches 1000 kg/m3")
+    assert notes["cortical bone"].startswith("less than 0.1 % of the bone in the region")
+
+
+def test_a_path_in_metres_is_noted(reference):
+    path = {"motion.points_mm": [[0, 0, 0.003], [0, 0, 0.001]], "duration_s": 0.01}
+    run = tissue.simulate(tissue.load_scene(reference[0].scene, COARSE | path))
+    assert run.summary["notes"]["length of the path"].startswith("only 0.002 mm, which")
 
 
 def test_a_site_may_be_given_in_ras(reference, tmp_path):
@@ -118,6 +125,11 @@ def test_the_nearest_corner_is_a_site_in_the_same_coordinates(reference, tmp_pat
         imported(image, tmp_path / "out", site=(9.0, 20.0, 15.0), coordinates="RAS")
     corner = tuple(map(float, str(refused.value).rsplit("(")[-1].split(")")[0].split(",")))
     assert imported(image, tmp_path / "out", site=corner, coordinates="RAS").has_site
+
+
+def test_the_corners_of_the_image_are_printed(reference):
+    size = next(each for each in reference[0].sentences if "mm in all" in each)
+    assert re.search(r", from \(-?[\d., -]+\) to \([\d., -]+\) mm in LPS$", size), size
 
 
 def test_a_refused_site_comes_after_the_bone_that_was_found(reference, command, tmp_path):

@@ -66,6 +66,20 @@ def test_a_new_kind_starts_its_part_afresh(turned):
     assert load_scene("milling", {"motion.kind": "path"}) == load_scene("milling")
 
 
+def test_a_new_kind_of_cutter_keeps_the_keys_that_it_has():
+    """The distance between cutting elements belongs to a shape, and a burr has no peg."""
+    before = load_scene("milling")
+    tool = load_scene("milling", {"tool.kind": "cylinder"}).tool
+    assert tool.diameter_mm == before.tool.diameter_mm
+    assert (tool.flutes, tool.spin_rpm) == (before.tool.flutes, before.tool.spin_rpm)
+    assert tool.shell_spacing_mm is None and before.tool.shell_spacing_mm is not None
+    reamer = load_scene("glenoid").tool
+    flat = load_scene("glenoid", {"tool.kind": "flat-reamer"}).tool
+    assert (flat.peg_mm, flat.diameter_mm) == (reamer.peg_mm, reamer.diameter_mm)
+    burr = load_scene("glenoid", {"tool.kind": "ball-burr", "tool.diameter_mm": 4.0}).tool
+    assert (burr.peg_mm, burr.diameter_mm) == ((0.0, 0.0), 4.0)
+
+
 def test_files_are_taken_from_the_scene_file_and_overrides_from_the_working_directory(
     tmp_path, monkeypatch
 ):
@@ -207,7 +221,7 @@ def test_the_text_none_leaves_stress_out(tmp_path):
         ({"tool.diameter_mm": "2..5mm"}, "Use 6"),
         ({"tool.diameter_mm": "--5mm"}, "Use 6"),
         ({"anatomy.size_mm": "8mm"}, "Use [20, 12, 8]"),
-        ({"tool.diameter_mm": 0.022}, "Use 6, in mm"),
+        ({"tool.diameter_mm": 0.022}, "Use a value in this range, such as 6, in mm"),
     ],
 )
 def test_the_remedy_follows_from_the_value_of_the_user(changes, remedy):

@@ -115,14 +115,16 @@ def test_a_file_of_the_user_is_not_copied_with_the_run(tmp_path):
 
 
 def test_a_folder_that_is_no_run_is_refused_with_its_reason(tmp_path):
-    for name in ("p01/attempt-1", "p01/attempt-2", "empty"):
+    for name in ("p01/attempt-1", "p01/attempt-2", "empty", "killed"):
         (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "killed" / ".lock").touch()
     for name in ("attempt-1", "attempt-2"):
         (tmp_path / "p01" / name / "summary.json").touch()
     for name, sentence in (
         ("p1", f"an existing folder, got {tmp_path}/p1 (did you mean p01?). Check the path"),
         ("p01", f"contains 2 runs. Use {tmp_path}/p01/attempt-1"),
         ("empty", "a folder that `tissue run` wrote"),
+        ("killed", f"the run in {tmp_path}/killed has not begun"),
     ):
         with pytest.raises(InputError, match=re.escape(sentence)):
             SavedRun(tmp_path / name)

@@ -300,8 +300,8 @@ def _band_text(band: Summary) -> str:
     first = sorted(totals, key=lambda name: -totals[name])[:3]
     shares = ", ".join(f"{name} {100.0 * totals[name]:.0f} %" for name in first)
     matters = (
-        f"total Sobol indices of the peak force: {shares}; interactions count for each constant "
-        "that takes part, so the indices may add up to more than 100 %"
+        f"total Sobol indices of the peak force: {shares}; an interaction counts for every "
+        "constant in it, so the sum may exceed 100 %"
     )
     if not shares:
         explained = band.get("surrogate_explains", {}).get("force_N.peak")

@@ -13,7 +13,7 @@ from tissue.show.figures.figure import (
 )
 from tissue.show.figures.organ_surface import SHOWN as DRAWN
 from tissue.show.figures.organ_surface import at_nodes, drawn_surface
-from tissue.show.viewer.plotter import Plotter, add_colour_scale
+from tissue.show.viewer.plotter import Plotter, add_colour_scale, add_text
 from tissue.show.viewer.saved_surfaces import BoneOverTime, Plane
 from tissue.simulation.saved_fields import SavedFields, field_values
 
@@ -183,6 +183,7 @@ class FieldsShown:
 
 DEPTH = "removed_depth_mm"
 DEPTH_TITLE = "removed depth / mm"
+UNCUT = "not cut"
 SHADING = {
     "smooth_shading": False,
     "interpolation": "Phong",
@@ -280,6 +281,7 @@ class BoneShown:
         """Draw all surfaces, the legend and the scale again."""
         plotter = self._plotter
         plotter.remove_legend(render=False)
+        plotter.remove_actor(UNCUT, render=False)
         if DEPTH_TITLE in plotter.scalar_bars:
             plotter.remove_scalar_bar(DEPTH_TITLE, render=False)
         actors = [self._draw_part(name) for name in ("bone", "bone beyond the cut")]
@@ -289,6 +291,8 @@ class BoneShown:
             add_colour_scale(
                 plotter, DEPTH_TITLE, shown[0].mapper, bottom=0.45, fmt="%.2f", below_label=""
             )
+            # VTK would write the label of the lowest field over this field
+            add_text(plotter, UNCUT, (0.9, 0.456), size=11, name=UNCUT)
         elif self._visible and self._legend and not self.by_depth:
             # The legend shows the layers and their colours; a hidden layer is pale.
             entries = [

@@ -60,12 +60,19 @@ def add_text(
     *,
     size: int = 9,
     colour: object = "black",
+    name: str | None = None,
 ) -> Any:
-    """Write a text, and return its actor.
+    """Write a text, and return its actor. An actor with the same name is replaced.
 
     `place` is the lower left corner of the text, relative to the window.
     """
-    return plotter.add_text(words, position=place, viewport=True, font_size=size, color=colour)
+    actor = plotter.add_text(
+        words, position=place, viewport=True, font_size=size, color=colour, name=name
+    )
+    # keeps the text readable in front of a large tool
+    actor.prop.background_color = "white"
+    actor.prop.background_opacity = 0.7
+    return actor
 
 
 def add_names(plotter: Plotter, colours: Mapping[str, tuple[float, float, float]]) -> None:

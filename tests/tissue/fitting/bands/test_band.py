@@ -121,6 +121,7 @@ def test_a_band_is_written_with_its_run_and_read_back(block, tmp_path):
     assert peak["p05"] < run.summary["force_N"]["peak"] < peak["p95"]
     totals = [index["total"] for index in run.summary["band"]["sobol"]["force_N.peak"].values()]
     assert 0.95 < sum(totals) < 1.5
+    assert "total Sobol indices of the peak force: " in next(band_lines(run.summary["band"]))
     run.save(tmp_path / "run", pictures=False)
     held = open_run(tmp_path / "run")
     again = held.band()
