@@ -9,12 +9,22 @@ import warp as wp
 from kernels.arrays import Doubles2D, Int32s
 from kernels.constants import HALF, ONE, THREE, TWO, ZERO
 
-__all__ = ["TOLERANCE_M", "Outline", "bounds_over", "distance_to_part"]
+__all__ = ["TOLERANCE_M", "Outline", "bounds_over", "distance_to_part", "widened"]
 
 wp.set_module_options({"enable_backward": False})
 
 TOLERANCE_M = wp.constant(wp.float64(1.0e-6))
 """Largest accepted difference between the smallest distance and its lower bound [m]."""
+MOST_EVALUATIONS = wp.constant(20000)
+"""Number of evaluated bounds after which the tolerance of a search grows.
+
+20,000 bounds of the distance between a tool and a triangle take about 2 ms.
+"""
+DOUBLING = wp.constant(wp.float64(2000.0))
+"""Number of further evaluations that double the tolerance.
+
+The tolerance grows from 0.001 mm to 1 mm in 20,000 evaluations, which limits the time of a tick.
+"""
 STEPS = wp.constant(10)
 """Number of gradient-descent steps in a triangle before the triangle is halved.
 
@@ -34,6 +44,19 @@ class Outline:
     shape: Doubles2D  # [piece, 10] see `tissue.cutters.body.outline_table`
     first: Int32s  # [part + 1] first piece of each part
     convex: Int32s  # [part]
+
+
+@wp.func
+def widened(tolerance: wp.float64, evaluations: int):
+    """Return the tolerance of a search after a number of evaluations.
+
+    Without this growth, a search with many equally near triangles or cells would take too long. A
+    tool on the axis of a tube is an example. A search that ends at a fixed number of evaluations
+    would leave large parts with bounds that are millimetres too low.
+    """
+    if evaluations < MOST_EVALUATIONS:
+        return tolerance
+    return tolerance * wp.pow(TWO, wp.float64(evaluations - MOST_EVALUATIONS) / DOUBLING)
 
 
 @wp.func
