@@ -34,6 +34,11 @@ The stack holds the cells that remain to be searched. Each halving of a cell add
 halvings reduce both sides of a cell from 30 mm to about a micrometre.
 """
 CELL_COLUMNS = wp.constant(6)
+DOUBLING = wp.constant(2000)
+"""Number of evaluated cells that double the tolerance of a long search.
+
+A cell takes up to 0.3 ms, so the tolerance grows faster than in `kernels.structure_distance`.
+"""
 FAR_M = wp.constant(wp.float64(1.0e3))
 """Range of the search for the nearest point [m]. Every structure lies within this range."""
 NEAR_M = wp.constant(wp.float64(1.0e-6))
@@ -266,7 +271,8 @@ def over_balls(
         while held > 0:
             held -= 1
             bound = cells[held, 4]
-            if bound >= smallest - widened(DEPTH_TOLERANCE_M, count) or held + 2 > CELLS:
+            accepted = smallest - widened(DEPTH_TOLERANCE_M, count, DOUBLING)
+            if bound >= accepted or held + 2 > CELLS:
                 lowest = wp.min(lowest, bound - medial.slack)
                 continue
             first = cells[held, 0]

@@ -23,6 +23,13 @@ wp.set_module_options({"enable_backward": False})
 
 NODES, TRIANGLES = wp.constant(256), wp.constant(256)
 """Number of rows of the stack of tree nodes, and of the stack of triangles."""
+DOUBLING = wp.constant(10000)
+"""Number of evaluations that double the tolerance of a long search.
+
+A drill on the axis of a tube of 51,000 triangles has an error below 0.001 mm and takes 3 ms. With a
+tube of 205,000 triangles, the error is 0.13 mm and the time 9 ms. With 2,000 evaluations, the error
+is 0.48 mm and the time 4 ms.
+"""
 LEAF = wp.constant(4)
 """Number of triangles in a leaf of the tree. It must agree with `meshes.surfaces.box_tree`."""
 
@@ -67,7 +74,8 @@ def smallest_in_triangle(
     held = int(1)
     while held > 0:
         held -= 1
-        if bound[held] >= smallest - widened(TOLERANCE_M, count) or held + 2 > TRIANGLES:
+        accepted = smallest - widened(TOLERANCE_M, count, DOUBLING)
+        if bound[held] >= accepted or held + 2 > TRIANGLES:
             left = wp.min(left, bound[held])
         else:
             p = stack[held, 0]
@@ -165,7 +173,7 @@ def over_surface(
     while height > 0:
         height -= 1
         node = nodes[height]
-        if node_bounds[height] >= smallest - widened(TOLERANCE_M, count):
+        if node_bounds[height] >= smallest - widened(TOLERANCE_M, count, DOUBLING):
             left = wp.min(left, node_bounds[height])
             continue
         if node >= tree.first_leaf:

@@ -16,14 +16,9 @@ wp.set_module_options({"enable_backward": False})
 TOLERANCE_M = wp.constant(wp.float64(1.0e-6))
 """Largest accepted difference between the smallest distance and its lower bound [m]."""
 MOST_EVALUATIONS = wp.constant(20000)
-"""Number of evaluated bounds after which the tolerance of a search grows.
+"""Number of evaluations after which the tolerance of a search grows.
 
-20,000 bounds of the distance between a tool and a triangle take about 2 ms.
-"""
-DOUBLING = wp.constant(wp.float64(2000.0))
-"""Number of further evaluations that double the tolerance.
-
-The tolerance grows from 0.001 mm to 1 mm in 20,000 evaluations, which limits the time of a tick.
+20,000 evaluations of the distance between a tool and a triangle take about 2 ms.
 """
 STEPS = wp.constant(10)
 """Number of gradient-descent steps in a triangle before the triangle is halved.
@@ -47,16 +42,18 @@ class Outline:
 
 
 @wp.func
-def widened(tolerance: wp.float64, evaluations: int):
+def widened(tolerance: wp.float64, evaluations: int, doubling: int):
     """Return the tolerance of a search after a number of evaluations.
 
-    Without this growth, a search with many equally near triangles or cells would take too long. A
-    tool on the axis of a tube is an example. A search that ends at a fixed number of evaluations
-    would leave large parts with bounds that are millimetres too low.
+    The tolerance doubles every `doubling` evaluations beyond `MOST_EVALUATIONS`. This limits the
+    time of a search with many equally near triangles, such as those of a fine tube around the tool.
+    The growth leaves smaller errors than a limit of the number of evaluations. Such a limit leaves
+    large boxes, whose bounds are millimetres too low.
     """
     if evaluations < MOST_EVALUATIONS:
         return tolerance
-    return tolerance * wp.pow(TWO, wp.float64(evaluations - MOST_EVALUATIONS) / DOUBLING)
+    beyond = wp.float64(evaluations - MOST_EVALUATIONS)
+    return tolerance * wp.pow(TWO, beyond / wp.float64(doubling))
 
 
 @wp.func
