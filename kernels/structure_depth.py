@@ -5,14 +5,14 @@ the depth of the ball is its radius plus the depth of its centre. The centres of
 medial axis of the tool, which is divided into cells. A cell is a part of a segment of the medial
 axis of the tool's half section, rotated by a range of angles around the tool's axis. A
 branch-and-bound search over the cells finds the deepest ball, with an error of at most
-`DEPTH_TOLERANCE_M`.
+`DEPTH_TOLERANCE_M`, unless the search is long (`kernels.tool_distance.widened`).
 """
 
 import warp as wp
 
 from kernels.arrays import Doubles2D, Int32s, Vectors
 from kernels.constants import HALF, ONE, TWO, ZERO
-from kernels.tool_distance import nearest_on_triangle
+from kernels.tool_distance import nearest_on_triangle, widened
 
 __all__ = [
     "CELLS",
@@ -34,10 +34,10 @@ The stack holds the cells that remain to be searched. Each halving of a cell add
 halvings reduce both sides of a cell from 30 mm to about a micrometre.
 """
 CELL_COLUMNS = wp.constant(6)
-MOST_QUERIES = wp.constant(20000)
-"""Number of closest-point queries after which a search ends with a coarser lower bound.
+DOUBLING = wp.constant(2000)
+"""Number of evaluated cells that double the tolerance of a long search.
 
-The limit bounds the time of a tick.
+A cell takes up to 0.3 ms, so the tolerance grows faster than in `kernels.structure_distance`.
 """
 FAR_M = wp.constant(wp.float64(1.0e3))
 """Range of the search for the nearest point [m]. Every structure lies within this range."""
@@ -271,7 +271,8 @@ def over_balls(
         while held > 0:
             held -= 1
             bound = cells[held, 4]
-            if bound >= smallest - DEPTH_TOLERANCE_M or count >= MOST_QUERIES or held + 2 > CELLS:
+            accepted = smallest - widened(DEPTH_TOLERANCE_M, count, DOUBLING)
+            if bound >= accepted or held + 2 > CELLS:
                 lowest = wp.min(lowest, bound - medial.slack)
                 continue
             first = cells[held, 0]

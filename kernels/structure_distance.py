@@ -2,8 +2,8 @@
 
 The structure is a closed triangle surface. A branch-and-bound search over a tree of boxes, and then
 over halves of triangles, finds the point of the structure's surface with the smallest distance from
-the tool. The error is at most `TOLERANCE_M`. If tool and structure overlap,
-`kernels.structure_depth` computes the penetration depth.
+the tool. The error is at most `TOLERANCE_M`, unless the search is long (`widened`). If tool and
+structure overlap, `kernels.structure_depth` computes the penetration depth.
 
 Clearance: a second kernel computes the distance between a tool's surface and another body, by
 interpolation in a grid of distances.
@@ -15,7 +15,7 @@ from kernels.arrays import Doubles, Doubles2D, Int32s, Singles, Singles3D, Vecto
 from kernels.constants import HALF, ZERO
 from kernels.elements import CHUNK, Elements
 from kernels.structure_depth import MedialAxis, first_ball_inside, over_balls
-from kernels.tool_distance import TOLERANCE_M, Outline, bounds_over, distance_to_part
+from kernels.tool_distance import TOLERANCE_M, Outline, bounds_over, distance_to_part, widened
 
 __all__ = ["NODES", "TRIANGLES", "Tree", "clearance", "distance_to_structure"]
 
@@ -23,10 +23,12 @@ wp.set_module_options({"enable_backward": False})
 
 NODES, TRIANGLES = wp.constant(256), wp.constant(256)
 """Number of rows of the stack of tree nodes, and of the stack of triangles."""
-MOST_EVALUATIONS = wp.constant(20000)
-"""Number of evaluated boxes and triangles after which a search ends with a coarser lower bound.
+DOUBLING = wp.constant(10000)
+"""Number of evaluations that double the tolerance of a long search.
 
-The limit bounds the time of a tick.
+A drill on the axis of a tube of 51,000 triangles has an error below 0.001 mm and takes 3 ms. With a
+tube of 205,000 triangles, the error is 0.13 mm and the time 9 ms. With 2,000 evaluations, the error
+is 0.48 mm and the time 4 ms.
 """
 LEAF = wp.constant(4)
 """Number of triangles in a leaf of the tree. It must agree with `meshes.surfaces.box_tree`."""
@@ -72,38 +74,38 @@ def smallest_in_triangle(
     held = int(1)
     while held > 0:
         held -= 1
-        if bound[held] < smallest - TOLERANCE_M:
-            if count >= MOST_EVALUATIONS or held + 2 > TRIANGLES:
-                left = wp.min(left, bound[held])
-            else:
-                p = stack[held, 0]
-                q = stack[held, 1]
-                r = stack[held, 2]
-                pq = wp.length_sq(q - p)
-                qr = wp.length_sq(r - q)
-                rp = wp.length_sq(p - r)
-                # Rotate the corners so that the longest edge runs from q to r.
-                if pq > qr and pq >= rp:
-                    turned = r
-                    r = q
-                    q = p
-                    p = turned
-                elif rp > qr:
-                    turned = q
-                    q = r
-                    r = p
-                    p = turned
-                middle = HALF * (q + r)
-                for half in range(2):
-                    end = wp.where(half == 0, q, r)
-                    lower, upper = bounds_over(outline, p, end, middle, smallest)
-                    smallest = wp.min(smallest, upper)
-                    stack[held, 0] = p
-                    stack[held, 1] = end
-                    stack[held, 2] = middle
-                    bound[held] = lower
-                    held += 1
-                count += 2
+        accepted = smallest - widened(TOLERANCE_M, count, DOUBLING)
+        if bound[held] >= accepted or held + 2 > TRIANGLES:
+            left = wp.min(left, bound[held])
+        else:
+            p = stack[held, 0]
+            q = stack[held, 1]
+            r = stack[held, 2]
+            pq = wp.length_sq(q - p)
+            qr = wp.length_sq(r - q)
+            rp = wp.length_sq(p - r)
+            # Rotate the corners so that the longest edge runs from q to r.
+            if pq > qr and pq >= rp:
+                turned = r
+                r = q
+                q = p
+                p = turned
+            elif rp > qr:
+                turned = q
+                q = r
+                r = p
+                p = turned
+            middle = HALF * (q + r)
+            for half in range(2):
+                end = wp.where(half == 0, q, r)
+                lower, upper = bounds_over(outline, p, end, middle, smallest)
+                smallest = wp.min(smallest, upper)
+                stack[held, 0] = p
+                stack[held, 1] = end
+                stack[held, 2] = middle
+                bound[held] = lower
+                held += 1
+            count += 2
     return smallest, count, left
 
 
@@ -156,8 +158,7 @@ def over_surface(
 ):
     """Compute a lower bound of the signed distance [m] between the tool and a structure's surface.
 
-    The bound is at most `TOLERANCE_M` below the distance, unless the search ends after
-    `MOST_EVALUATIONS`.
+    The bound is below the distance by at most the tolerance of the search, see `widened`.
     """
     # 1e9 m stands for no bound.
     smallest = wp.float64(1.0e9)
@@ -172,9 +173,7 @@ def over_surface(
     while height > 0:
         height -= 1
         node = nodes[height]
-        if node_bounds[height] >= smallest - TOLERANCE_M:
-            continue
-        if count >= MOST_EVALUATIONS:
+        if node_bounds[height] >= smallest - widened(TOLERANCE_M, count, DOUBLING):
             left = wp.min(left, node_bounds[height])
             continue
         if node >= tree.first_leaf:

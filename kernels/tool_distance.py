@@ -9,12 +9,17 @@ import warp as wp
 from kernels.arrays import Doubles2D, Int32s
 from kernels.constants import HALF, ONE, THREE, TWO, ZERO
 
-__all__ = ["TOLERANCE_M", "Outline", "bounds_over", "distance_to_part"]
+__all__ = ["TOLERANCE_M", "Outline", "bounds_over", "distance_to_part", "widened"]
 
 wp.set_module_options({"enable_backward": False})
 
 TOLERANCE_M = wp.constant(wp.float64(1.0e-6))
 """Largest accepted difference between the smallest distance and its lower bound [m]."""
+MOST_EVALUATIONS = wp.constant(20000)
+"""Number of evaluations after which the tolerance of a search grows.
+
+20,000 evaluations of the distance between a tool and a triangle take about 2 ms.
+"""
 STEPS = wp.constant(10)
 """Number of gradient-descent steps in a triangle before the triangle is halved.
 
@@ -34,6 +39,21 @@ class Outline:
     shape: Doubles2D  # [piece, 10] see `tissue.cutters.body.outline_table`
     first: Int32s  # [part + 1] first piece of each part
     convex: Int32s  # [part]
+
+
+@wp.func
+def widened(tolerance: wp.float64, evaluations: int, doubling: int):
+    """Return the tolerance of a search after a number of evaluations.
+
+    The tolerance doubles every `doubling` evaluations beyond `MOST_EVALUATIONS`. This limits the
+    time of a search with many equally near triangles, such as those of a fine tube around the tool.
+    The growth leaves smaller errors than a limit of the number of evaluations. Such a limit leaves
+    large boxes, whose bounds are millimetres too low.
+    """
+    if evaluations < MOST_EVALUATIONS:
+        return tolerance
+    beyond = wp.float64(evaluations - MOST_EVALUATIONS)
+    return tolerance * wp.pow(TWO, beyond / wp.float64(doubling))
 
 
 @wp.func

@@ -12,20 +12,15 @@ __all__ = ["LEAF", "BoxTree", "box_tree", "cut_long"]
 LEAF = 4
 """Number of triangles in a leaf, the same as in `kernels.structure_distance`."""
 LONGEST_M = 0.5e-3
-"""Longest edge [m] of a triangle near the box that contains the query points.
-
-Longer edges are allowed if there would otherwise be more than `MOST` triangles.
-"""
+"""Edge length [m] above which a triangle near the box that contains the query points is bisected."""
 BY_DISTANCE = 0.25
-"""Longest edge of a triangle, relative to the distance of the triangle from the query box.
+"""Increase of this length, relative to the distance of the triangle from the query box."""
+BISECTIONS = 2
+"""Largest number of bisections of a triangle.
 
-The distance from a query point then varies little within the box around a triangle, so searches
-stop early.
-"""
-MOST = 2e5
-"""Largest number of triangles after long triangles are bisected.
-
-A triangle takes 72 bytes. Doubling the number of triangles adds one level to the tree.
+A search of the distance between a 3.2 mm drill and a coaxial tube of 48 sides evaluates 1,100 bounds
+with this value. Bisection of all longer edges gives more than 20,000 bounds, because every part of
+the tube is then equally near.
 """
 _GRID = 1024
 """Number of cells of the Morton curve along each axis.
@@ -79,9 +74,9 @@ def box_tree(corners_m: Array) -> BoxTree:
 
 
 def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
-    """Bisect triangles at their longest edges until no edge is too long.
+    """Bisect triangles with long edges, at most `BISECTIONS` times.
 
-    The boxes around the triangles are then small.
+    The boxes around the triangles are then smaller.
 
     Parameters
     ----------
@@ -92,25 +87,14 @@ def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
         shape (2, 3). Triangles far from this box may be longer. If None, query points may be
         anywhere.
     """
-    corners = corners_m
-    box = box_m
-    longest_m = LONGEST_M
-    while True:
-        done: list[Array] = []
-        rest = corners
-        count = 0
-        while len(rest) and count + len(rest) <= MOST + len(corners):
-            edges = np.linalg.norm(np.roll(rest, -1, axis=1) - rest, axis=2)
-            allowed = longest_m + BY_DISTANCE * _away(rest.mean(axis=1), box)
-            long = edges.max(axis=1) > allowed
-            done.append(rest[~long])
-            count += len(done[-1])
-            rest = _halves(rest[long], edges[long].argmax(axis=1))
-        if not len(rest):
-            return np.concatenate(done)
-        # There are too many triangles. Allow edges of twice the length, which gives a fourth of the
-        # triangles.
-        longest_m *= 2.0
+    done: list[Array] = []
+    rest = corners_m
+    for _ in range(BISECTIONS):
+        edges = np.linalg.norm(np.roll(rest, -1, axis=1) - rest, axis=2)
+        long = edges.max(axis=1) > LONGEST_M + BY_DISTANCE * _away(rest.mean(axis=1), box_m)
+        done.append(rest[~long])
+        rest = _halves(rest[long], edges[long].argmax(axis=1))
+    return np.concatenate([*done, rest])
 
 
 def _halves(corners: Array, longest: NDArray[np.intp]) -> Array:
