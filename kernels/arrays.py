@@ -7,31 +7,6 @@ double precision.
 
 import warp as wp
 
-__all__ = [
-    "Bits",
-    "Bytes",
-    "Doubles",
-    "Doubles2D",
-    "Doubles3D",
-    "Int32s",
-    "Int32s2D",
-    "Int32s3D",
-    "Int64s",
-    "Int64s2D",
-    "Matrices",
-    "Matrices2D",
-    "Shorts",
-    "Shorts2D",
-    "SingleMatrices",
-    "SingleVectors",
-    "Singles",
-    "Singles2D",
-    "Singles3D",
-    "Vectors",
-    "Vectors2D",
-    "Words2D",
-]
-
 Doubles = wp.array(dtype=wp.float64)
 Doubles2D = wp.array2d(dtype=wp.float64)
 Doubles3D = wp.array3d(dtype=wp.float64)

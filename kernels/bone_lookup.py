@@ -14,8 +14,6 @@ import warp as wp
 from kernels.arrays import Int32s3D, Shorts2D, Words2D
 from kernels.bricks import cell_of, corner8f, corner8i, corners_of, density_of, layer_of
 
-__all__ = ["BEYOND", "SURFACE_STEPS", "Bone", "bone_at"]
-
 SURFACE_STEPS = 63
 """Number of steps per voxel in the stored surface distance, an integer of 8 bits.
 

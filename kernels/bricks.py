@@ -14,29 +14,6 @@ import warp as wp
 
 from kernels.arrays import Int32s3D, Shorts2D
 
-__all__ = [
-    "BRICK",
-    "BRICK_VOXELS",
-    "FULL",
-    "LOST",
-    "REACHED",
-    "Cell",
-    "Corners",
-    "Plane",
-    "cell_of",
-    "corner8f",
-    "corner8i",
-    "corners_of",
-    "cube_behind_plane",
-    "density_of",
-    "layer_of",
-    "plane_of",
-    "stored",
-    "trilinear",
-    "voxel_column",
-    "voxel_row",
-]
-
 BRICK = 8
 """Number of voxels along the edge of a brick, equal to `meshes.base.grid.BLOCK`.
 

@@ -16,8 +16,6 @@ from hashlib import blake2b
 from pathlib import Path
 from uuid import uuid4
 
-__all__ = ["MANIFEST", "remove_damaged"]
-
 MANIFEST = "checksums.json"
 """Name of the file that holds the checksums of the other files of a cache entry.
 

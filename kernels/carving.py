@@ -29,19 +29,6 @@ from kernels.arrays import Bits, Bytes, Doubles2D, Int32s3D, Int64s, Int64s2D, S
 from kernels.bricks import LOST, REACHED, cube_behind_plane, layer_of, plane_of
 from kernels.revolution import EDGE_BEND, Nearest, Revolution, nearest_on, offset_from
 
-__all__ = [
-    "BINARY",
-    "COUNT",
-    "EVERY_SIDE",
-    "FIRST",
-    "MOVED",
-    "ORIGIN",
-    "PHASES",
-    "PLAN",
-    "TURNED",
-    "carve",
-]
-
 wp.set_module_options({"enable_backward": False})
 
 # Number of groups of bricks. It is a power of two, so that a remainder takes one instruction.

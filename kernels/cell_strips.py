@@ -29,8 +29,6 @@ import warp as wp
 
 from kernels.arrays import Int32s
 
-__all__ = ["LANES", "WEIGHTS", "lanes_of", "strip_products"]
-
 LANES = 8
 """Number of cells in a strip."""
 WEIGHTS = 17

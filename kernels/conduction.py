@@ -16,8 +16,6 @@ import warp as wp
 
 from kernels.arrays import Singles3D
 
-__all__ = ["OPEN", "conduct"]
-
 wp.set_module_options({"enable_backward": False})
 
 OPEN = wp.constant(2.0)

@@ -6,8 +6,6 @@ constant. Warp does not allow a loop to change a constant.
 
 import warp as wp
 
-__all__ = ["HALF", "ONE", "THREE", "TWO", "ZERO"]
-
 ZERO = wp.constant(wp.float64(0.0))
 HALF = wp.constant(wp.float64(0.5))
 ONE = wp.constant(wp.float64(1.0))

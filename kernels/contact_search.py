@@ -38,8 +38,6 @@ from kernels.near_compliance import (
     moved_at,
 )
 
-__all__ = ["find_near", "join_touching", "start_over"]
-
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 SLACK = wp.constant(wp.float64(1.25))

@@ -32,38 +32,6 @@ import warp as wp
 from kernels.arrays import Doubles, Doubles2D, Int32s, Int32s2D, Matrices2D, Vectors
 from kernels.constants import HALF, ONE, TWO, ZERO
 
-__all__ = [
-    "AREA",
-    "CONTACTS",
-    "CYLINDER",
-    "DEEPEST",
-    "DONE",
-    "FORCE",
-    "IMMOVABLE",
-    "LARGEST",
-    "MISSING",
-    "NEARBY",
-    "RESULTS",
-    "RUN_OUT",
-    "SHELL",
-    "SPHERE",
-    "STATE",
-    "SWEEPS",
-    "TICK",
-    "TORQUE",
-    "WORKING",
-    "Body",
-    "Lists",
-    "Points",
-    "Pose",
-    "axis_distance",
-    "block",
-    "coulomb_force",
-    "distance_to",
-    "pose_of",
-    "safe_inverse",
-]
-
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 

@@ -9,15 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache
 
-__all__ = [
-    "CoreThreads",
-    "allowed_cores",
-    "core_count",
-    "cores_without",
-    "current_core",
-    "limit_cores",
-]
-
 _most_cores: list[int] = []
 
 

@@ -41,8 +41,6 @@ from kernels.engagement import (
     Coefficients,
 )
 
-__all__ = ["AREA", "MOTION_ROWS", "RATE", "VALUE", "cutting_forces"]
-
 wp.set_module_options({"enable_backward": False})
 
 # Indices into the sums. The derivatives of force and torque by each of up to six unknowns follow

@@ -8,20 +8,6 @@ import warp as wp
 
 from kernels.arrays import Bits, Doubles2D, Int32s3D, Singles, SingleVectors
 
-__all__ = [
-    "CHUNK",
-    "LANES",
-    "LEAST_ADVANCE",
-    "Elements",
-    "Lanes2D",
-    "Travel",
-    "advance_of",
-    "lanes8",
-    "may_cut",
-    "place_of",
-    "travel_of",
-]
-
 CHUNK = 128
 """Number of cutting elements per chunk, the group that one thread processes.
 

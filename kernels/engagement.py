@@ -41,22 +41,6 @@ from kernels.older_cuts import RAMP, SLOTS, bone_left
 from kernels.recent_cuts import CLOSE, Poses, poses_in_front, recently_cut
 from kernels.revolution import Revolution
 
-__all__ = [
-    "CHIP",
-    "DENSITIES",
-    "DENSITY",
-    "DISTANCE",
-    "EDGE",
-    "FOUND",
-    "LAYER",
-    "MINIMUM",
-    "POSE_ROWS",
-    "SLOPE",
-    "WIDTH",
-    "Coefficients",
-    "find_bone",
-]
-
 wp.set_module_options({"enable_backward": False})
 
 # Indices of the rows that describe the bone in front of eight elements.

@@ -39,15 +39,6 @@ from kernels.arrays import (
 from kernels.constants import HALF, ONE, ZERO
 from kernels.hexahedra import BLOCKS, block_of, carries, cell_block
 
-__all__ = [
-    "assemble_rows",
-    "coarse_stiffness",
-    "first_residuals",
-    "interpolate",
-    "restrict",
-    "sweep_colour",
-]
-
 # nested loops over corners, compiled once
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

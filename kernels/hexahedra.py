@@ -17,17 +17,6 @@ import warp as wp
 from kernels.arrays import Bytes, Int32s, Int32s2D, Matrices2D, Vectors, Vectors2D
 from kernels.constants import ONE
 
-__all__ = [
-    "BLOCKS",
-    "CornerGradients",
-    "block_of",
-    "carries",
-    "cell_block",
-    "cell_products",
-    "corner_gradients",
-    "gather_cells",
-]
-
 wp.set_module_options({"enable_backward": False})
 
 BLOCKS = 36

@@ -27,8 +27,6 @@ from kernels.constants import HALF, ONE, ZERO
 from kernels.hexahedra import block_of, carries
 from kernels.particle_stiffness import FULL_STEPS
 
-__all__ = ["cube_weights", "from_lanes", "node_diagonals", "smooth", "to_lanes"]
-
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 LANES_F = lanes_of(wp.float32)

@@ -33,20 +33,6 @@ import warp as wp
 from kernels.cores import CoreThreads, core_count, current_core
 from kernels.mirror import placed
 
-__all__ = [
-    "LEAST_GAIN",
-    "SPLIT_ABOVE_S",
-    "LaunchCounts",
-    "SplitChoice",
-    "SplitLaunch",
-    "calibrate",
-    "launch_counts",
-    "recorded",
-    "run_once",
-    "run_split",
-]
-
-
 LEAST_GAIN = 1.1
 """Smallest gain (time without splitting / time with splitting) at which a launch is split.
 

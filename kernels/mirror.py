@@ -7,8 +7,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Mirror", "filled", "placed", "put"]
-
 
 class Mirror:
     """Array on a device and a host array of equal shape. On a CPU, both arrays share the memory.

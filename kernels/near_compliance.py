@@ -14,25 +14,6 @@ import warp as wp
 from kernels.arrays import Doubles, Doubles2D, Int32s
 from kernels.contact_state import Body, block
 
-__all__ = [
-    "LANES",
-    "LOADED",
-    "SLOTS",
-    "STALE",
-    "Pack",
-    "Patch",
-    "add_node",
-    "drop_idle",
-    "drop_left",
-    "gather_again",
-    "gather_all_again",
-    "keep_loaded",
-    "move_all",
-    "moved_at",
-    "new_patch",
-    "push",
-]
-
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 LANES = 16

@@ -19,8 +19,6 @@ from kernels.bricks import Cell, cell_of, corner8f, corner8i, corners_of
 from kernels.carving import EDGE, corner_offset, distance_at
 from kernels.revolution import Nearest, Revolution, nearest_on, offset_from
 
-__all__ = ["RAMP", "SLOTS", "bone_left"]
-
 wp.set_module_options({"enable_backward": False})
 
 NEVER = wp.constant(65535)  # stored if the tool has not been near

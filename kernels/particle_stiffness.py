@@ -44,15 +44,6 @@ from kernels.arrays import (
 from kernels.constants import HALF, ONE, THREE, TWO, ZERO
 from kernels.hexahedra import BLOCKS, block_of, corner_gradients
 
-__all__ = [
-    "FULL_STEPS",
-    "invariants",
-    "particle_stiffness",
-    "point_stress",
-    "principal_values",
-    "von_mises",
-]
-
 wp.set_module_options({"enable_backward": False})
 
 FULL_STEPS = wp.constant(wp.float64(65535.0))

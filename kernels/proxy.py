@@ -27,22 +27,6 @@ from kernels.proxy_descent import (
 )
 from kernels.voxmap import Field
 
-__all__ = [
-    "CENTRE",
-    "CONVERGED",
-    "FORCE",
-    "MOMENT",
-    "POSITION",
-    "PRESSING",
-    "REPORT",
-    "ROTATION",
-    "SOLVES",
-    "STATE",
-    "STEPS",
-    "TRAVEL",
-    "advance_proxy",
-]
-
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 POSITION, ROTATION, TRAVEL, STATE = 0, 3, 7, 8

@@ -14,8 +14,6 @@ from kernels.arrays import Doubles, Doubles2D, Int32s, Vectors, Vectors2D
 from kernels.constants import ZERO
 from kernels.voxmap import Field, solid_distance, voxel_clearance, voxel_level
 
-__all__ = ["VOXEL_PLANES", "Contacts", "Shell", "collect"]
-
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 VOXEL_PLANES = 3

@@ -15,21 +15,6 @@ from kernels.constants import HALF, ONE, TWO, ZERO
 from kernels.proxy_contacts import Contacts
 from kernels.proxy_forces import resolve
 
-__all__ = [
-    "AT_REST",
-    "GOES_ON",
-    "Descent",
-    "DescentSettings",
-    "Reaction",
-    "accept_trial",
-    "halve_motion",
-    "motion_length",
-    "pose_distance",
-    "take_step",
-    "turn_between",
-    "turned_by",
-]
-
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 SMALL = wp.constant(wp.float64(1.0e-8))

@@ -27,8 +27,6 @@ import warp as wp
 from kernels.constants import HALF, ONE, ZERO
 from kernels.proxy_contacts import Contacts
 
-__all__ = ["MEMBERS", "factorise", "friction_force", "normal_forces", "resolve", "solve_set"]
-
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 MEMBERS = 8

@@ -15,8 +15,6 @@ import warp as wp
 from kernels.arrays import Singles2D
 from kernels.elements import LANES, Elements, lanes8
 
-__all__ = ["CLOSE", "Poses", "poses_in_front", "recently_cut"]
-
 wp.set_module_options({"enable_backward": False})
 
 # Number of poses between two checks whether the remaining poses can be skipped; chosen.

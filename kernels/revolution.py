@@ -7,8 +7,6 @@ import warp as wp
 
 from kernels.arrays import Doubles2D, Singles2D
 
-__all__ = ["EDGE_BEND", "Nearest", "Revolution", "nearest_on", "offset_from"]
-
 EDGE_BEND = 8.0
 """Value of `Revolution.bend` that marks an edge of the tool's profile.
 

@@ -10,8 +10,6 @@ from kernels.arrays import Doubles2D, Int32s, Vectors
 from kernels.constants import ONE
 from kernels.contact_state import NEARBY, Body, Lists, Points, pose_of
 
-__all__ = ["link_points", "project_shell"]
-
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 TWICE = wp.constant(wp.float64(2.0))

@@ -14,15 +14,6 @@ from kernels.arrays import Doubles2D, Int32s, Vectors
 from kernels.constants import HALF, ONE, TWO, ZERO
 from kernels.tool_distance import nearest_on_triangle, widened
 
-__all__ = [
-    "CELLS",
-    "CELL_COLUMNS",
-    "DEPTH_TOLERANCE_M",
-    "MedialAxis",
-    "first_ball_inside",
-    "over_balls",
-]
-
 wp.set_module_options({"enable_backward": False})
 
 DEPTH_TOLERANCE_M = wp.constant(wp.float64(3.0e-6))

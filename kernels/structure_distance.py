@@ -17,8 +17,6 @@ from kernels.elements import CHUNK, Elements
 from kernels.structure_depth import MedialAxis, first_ball_inside, over_balls
 from kernels.tool_distance import TOLERANCE_M, Outline, bounds_over, distance_to_part, widened
 
-__all__ = ["NODES", "TRIANGLES", "Tree", "clearance", "distance_to_structure"]
-
 wp.set_module_options({"enable_backward": False})
 
 NODES, TRIANGLES = wp.constant(256), wp.constant(256)

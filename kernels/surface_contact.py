@@ -42,8 +42,6 @@ from kernels.contact_state import (
 )
 from kernels.near_compliance import LOADED, SLOTS, Patch, move_all, moved_at, push
 
-__all__ = ["solve_contact"]
-
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 

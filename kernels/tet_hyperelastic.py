@@ -36,8 +36,6 @@ from kernels.arrays import (
 from kernels.constants import HALF, ONE, THREE, TWO, ZERO
 from kernels.tet_nonlinear import deformation, gradient_of
 
-__all__ = ["stretch_force", "stretch_stiffness"]
-
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 SWEEPS = wp.constant(12)

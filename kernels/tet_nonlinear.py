@@ -38,17 +38,6 @@ from kernels.arrays import (
 from kernels.constants import HALF, THREE, TWO, ZERO
 from kernels.tetrahedra import write_pair
 
-__all__ = [
-    "COROTATIONAL",
-    "IDENTITY",
-    "LINEAR",
-    "NEO_HOOKEAN",
-    "gather_blocks",
-    "gather_forces",
-    "tet_force",
-    "tet_stiffness",
-]
-
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 LINEAR = wp.constant(0)

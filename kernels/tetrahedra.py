@@ -41,8 +41,6 @@ from kernels.arrays import (
 from kernels.constants import HALF, TWO, ZERO
 from kernels.particle_stiffness import principal_values, von_mises
 
-__all__ = ["cell_gradients", "group_stress", "pair_stiffness", "pair_stiffness_isotropic"]
-
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 

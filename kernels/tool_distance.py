@@ -9,8 +9,6 @@ import warp as wp
 from kernels.arrays import Doubles2D, Int32s
 from kernels.constants import HALF, ONE, THREE, TWO, ZERO
 
-__all__ = ["TOLERANCE_M", "Outline", "bounds_over", "distance_to_part", "widened"]
-
 wp.set_module_options({"enable_backward": False})
 
 TOLERANCE_M = wp.constant(wp.float64(1.0e-6))

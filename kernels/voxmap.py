@@ -16,18 +16,6 @@ from kernels.arrays import Doubles, Int32s, Int32s3D, Matrices, Shorts2D, Single
 from kernels.bricks import voxel_column, voxel_row
 from kernels.constants import HALF, ONE, ZERO
 
-__all__ = [
-    "BALL",
-    "BOX",
-    "CELL",
-    "HALF_SPACE",
-    "SURFACE",
-    "Field",
-    "solid_distance",
-    "voxel_clearance",
-    "voxel_level",
-]
-
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 HALF_SPACE = 0

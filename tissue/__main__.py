@@ -8,8 +8,6 @@ from typing import NoReturn
 
 from tissue.system.stopping import Terminated, end_at_once, terminated_as_exception
 
-__all__ = ["main"]
-
 
 def main() -> NoReturn:
     """Entry point; see `tissue.cli.main.main`."""

@@ -5,27 +5,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "Array",
-    "Bytes",
-    "Flags",
-    "Floats",
-    "Int32s",
-    "Integers",
-    "Ints",
-    "Numbers",
-    "Singles",
-    "Triangles",
-    "box_of",
-    "compact",
-    "cross_products",
-    "directed_edges",
-    "enclosed_volume",
-    "lattice",
-    "windings",
-]
-
-
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Int32s = NDArray[np.int32]

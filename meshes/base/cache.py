@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from meshes.base.whole_file import package_version, whole_file
 
-__all__ = ["Arrays", "Kept", "cache_folder", "cached_arrays", "read_entry", "write_entry"]
-
 _SEAL = "tissue cache entry"
 _DIGEST_BYTES = 16
 """Size of a checksum [byte]. The chance that two of 1e9 entries have the same checksum is 2e-21."""

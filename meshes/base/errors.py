@@ -14,27 +14,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from meshes.base.arrays import Array
 
-__all__ = [
-    "DamagedFileError",
-    "InputError",
-    "Ranged",
-    "as_vector",
-    "by",
-    "counted",
-    "in_brackets",
-    "is_file",
-    "is_folder",
-    "names_of_caller",
-    "ranged",
-    "require_direction",
-    "require_file",
-    "require_length",
-    "require_positive",
-    "require_range",
-    "require_ranges",
-    "require_vector",
-]
-
 _LONGEST_PATH = 500
 """Longest path in an error message [characters]. The middle of a longer path is omitted."""
 

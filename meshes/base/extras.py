@@ -3,8 +3,6 @@
 import re
 from importlib.metadata import PackageNotFoundError, requires
 
-__all__ = ["install_command"]
-
 
 def install_command(extra: str) -> str:
     """Return the pip command for the packages of an extra.

@@ -17,15 +17,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = [
-    "given_limit_GB",
-    "memory_limit",
-    "memory_limit_bytes",
-    "read_npz",
-    "require_memory",
-    "require_regular",
-]
-
 _GB = 1e9
 _FREE_SHARE = 0.5
 """Share of the free memory that a file's content may use.

@@ -8,8 +8,6 @@ import numpy as np
 
 from meshes.base.arrays import Array, Ints, lattice
 
-__all__ = ["BLOCK", "Grid"]
-
 BLOCK = 8
 """Number of voxels along the edge of a block.
 

@@ -8,8 +8,6 @@ from inspect import Parameter, signature
 from types import FunctionType
 from typing import Any, TypeVar, cast
 
-__all__ = ["closest", "did_you_mean", "nearest", "suggests_arguments"]
-
 F = TypeVar("F", bound=Callable[..., Any])
 
 UNITS = re.compile(r"deg|[km]?n|[kmg]?pa|[kg]?hz|[munk]?m|[mu]?s|kg|rad|m?w|[jk]|mm[23]")

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["Answer", "kill_with_parent", "parse_isolated", "python_command", "start_code"]
-
 _DIE_WITH_PARENT = 1
 """Value of PR_SET_PDEATHSIG on Linux."""
 

@@ -11,8 +11,6 @@ import numpy as np
 from meshes.base.arrays import Array, Floats
 from meshes.base.errors import InputError
 
-__all__ = ["Placement"]
-
 _ORTHONORMAL = 1e-6
 """Largest deviation of R R^T from the identity.
 

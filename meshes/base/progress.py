@@ -2,8 +2,6 @@
 
 from collections.abc import Callable
 
-__all__ = ["Progress", "silent"]
-
 Progress = Callable[[str, float], None]
 """Function that is called with the name of the current task and its finished fraction, 0 to 1."""
 

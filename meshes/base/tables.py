@@ -18,8 +18,6 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, counted
 from meshes.base.text_tables import number_in
 
-__all__ = ["TextTable", "decoded_text", "read_table"]
-
 _DELIMITERS = (",", ";", "\t", " ")
 _LOOKED_AT = 50
 """Number of lines at the end of a file from which the format of a data line is detected.

@@ -14,22 +14,6 @@ from typing import Any
 from meshes.base.errors import InputError
 from meshes.base.hints import nearest
 
-__all__ = [
-    "DEEPEST",
-    "natural_order",
-    "number_in",
-    "number_or_nan",
-    "read_json",
-    "read_text",
-    "read_toml",
-    "require_distinct_columns",
-    "require_shallow",
-    "shown",
-    "unknown_name",
-    "visible",
-    "whole_number_in",
-]
-
 LONGEST_NUMBER = 308
 """Largest number of digits of an integer that fits in a float."""
 DEEPEST = 50

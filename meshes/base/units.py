@@ -3,8 +3,6 @@
 import re
 from collections.abc import Sequence
 
-__all__ = ["UNITS", "column_of", "name_of", "plain_unit", "unit_of"]
-
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
     "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "cm": 1e-2, "in": 0.0254},

@@ -15,19 +15,6 @@ from meshes.base.errors import InputError
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-__all__ = [
-    "OWNERS",
-    "claim",
-    "package_version",
-    "require_new_file",
-    "require_place",
-    "require_version",
-    "whole_file",
-    "write_columns",
-    "write_rows",
-    "write_text",
-]
-
 
 class Owner(Protocol):
     """Folder whose `claim` method is called before a file in the folder is written."""

@@ -19,16 +19,6 @@ from meshes.surfaces.surface import Surface
 from meshes.tooth.layered_surfaces import joined
 from meshes.voxels.mesh_sampling import TriangleSampler, inside_scattered, triangle_distance
 
-__all__ = [
-    "CORTICAL_ABOVE_KG_M3",
-    "IMAGED_LAYERS",
-    "LAW",
-    "cored_anatomy",
-    "imaged_anatomy",
-    "stated_law",
-]
-
-
 IMAGED_LAYERS = ("cortical", "subchondral", "trabecular")
 LAW = "density_law"
 """Key in the header of a density image for the source and uncertainty of the densities."""

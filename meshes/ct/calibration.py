@@ -23,17 +23,6 @@ from meshes.base.errors import InputError, require_range
 from meshes.ct.density import ASH_SHARE, ASH_SHARE_SD, DENSITY_LAWS, DensityLaw, line_law
 from meshes.images.frame import Image
 
-__all__ = [
-    "Calibration",
-    "Region",
-    "density_law",
-    "find_regions",
-    "fit_regions",
-    "hounsfield",
-    "linear_attenuation",
-    "mass_attenuation",
-]
-
 ENERGIES_KEV = (30.0, 150.0)
 """Energy range of the attenuation tables [keV]."""
 

@@ -9,8 +9,6 @@ import numpy as np
 from meshes.base.arrays import Numbers, Singles
 from meshes.base.errors import InputError, require_range
 
-__all__ = ["ASH_SHARE", "ASH_SHARE_SD", "CT_DENSITY", "DENSITY_LAWS", "DensityLaw", "line_law"]
-
 ASH_SHARE = 0.598
 ASH_SHARE_SD = 0.004
 """Ratio of ash density to apparent density of human bone, and its standard deviation.

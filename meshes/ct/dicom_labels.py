@@ -24,8 +24,6 @@ from meshes.images.dicom_files import (
 from meshes.images.dicom_slices import even_row, fit_together, normal_of
 from meshes.images.frame import Image, StoredImage
 
-__all__ = ["Masks", "dicom_masks"]
-
 _VOLUMES = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".raw", ".tif", ".tiff", ".bmp")
 """Suffixes of files that are not DICOM. Files with these suffixes are not opened."""
 _SEGMENT_TAGS = ("SegmentSequence", "SegmentationType", "MaximumFractionalValue")

@@ -14,18 +14,6 @@ from meshes.base.errors import InputError, counted
 from meshes.images.bone_image import image_cuts, image_triangles
 from meshes.images.frame import Image
 
-__all__ = [
-    "BoneOfImage",
-    "Box",
-    "by_label",
-    "by_threshold",
-    "cropped",
-    "filled",
-    "kept_label",
-    "largest_component",
-]
-
-
 Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Corners of a box with the smallest and with the largest coordinates [mm, LPS]."""
 MARGIN = 3

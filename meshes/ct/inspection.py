@@ -12,16 +12,6 @@ from meshes.base.arrays import Array, Flags, Ints, Numbers
 from meshes.base.errors import InputError, by, in_brackets
 from meshes.images.frame import Image
 
-__all__ = [
-    "Histogram",
-    "Inspection",
-    "bone_label_note",
-    "histogram_of",
-    "inspect",
-    "soft_label_note",
-    "suggest_threshold",
-]
-
 AIR_HU = (-1100, -900)
 SOFT_HU = (-150, 150)
 """Range of air, and range from fat to muscle, in any CT [HU]."""

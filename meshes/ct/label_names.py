@@ -14,17 +14,6 @@ from meshes.base.text_tables import read_toml
 from meshes.images.data import first_bytes
 from meshes.images.text_headers import header_lines
 
-__all__ = [
-    "MOST_LABELS",
-    "Segment",
-    "apart",
-    "given_names",
-    "header_names",
-    "label_sets",
-    "shared_names",
-    "slicer_segments",
-]
-
 MOST_LABELS = 2**31 - 1
 """Largest number of a label."""
 _HEADER_BYTES = 1 << 20

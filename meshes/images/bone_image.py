@@ -12,8 +12,6 @@ from meshes.images.frame import Image
 from meshes.shapes.anatomy import CORTICAL_KG_M3
 from meshes.voxels.volume import FULL, VoxelVolume
 
-__all__ = ["image_cuts", "image_triangles", "image_volume"]
-
 Density = Callable[[Numbers], Singles]
 """Function from grey values to densities [kg/m3], such as a `meshes.ct.density.DensityLaw`."""
 

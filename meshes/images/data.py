@@ -10,8 +10,6 @@ from meshes.base.arrays import Floats, Numbers
 from meshes.base.errors import InputError, by
 from meshes.base.file_limits import require_memory, require_regular
 
-__all__ = ["first_bytes", "is_gzip", "read_voxels", "scaled"]
-
 _GZIP = b"\x1f\x8b"
 _ZLIB_OR_GZIP = 47
 """Argument of zlib: 15 for the largest window, plus 32 to detect zlib or gzip from the header."""

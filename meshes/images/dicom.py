@@ -29,8 +29,6 @@ from meshes.images.dicom_files import (
 from meshes.images.dicom_slices import stacked
 from meshes.images.frame import StoredImage
 
-__all__ = ["read_dicom"]
-
 _INVERTED = "MONOCHROME1"
 """Photometric interpretation in which low values are displayed as white."""
 _GREY = ("MONOCHROME2", _INVERTED)

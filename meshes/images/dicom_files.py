@@ -22,20 +22,6 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, counted, is_folder
 from meshes.base.file_limits import memory_limit_bytes, require_memory
 
-__all__ = [
-    "Frame",
-    "damaged",
-    "dicom_files",
-    "files_in",
-    "frames_in",
-    "frames_of",
-    "is_dicom",
-    "modality_of",
-    "read_dataset",
-    "reading",
-    "refused",
-]
-
 Header = Mapping[str, Any]
 """Header elements of a frame by name; None for an element that the file does not contain."""
 _NOT_SLICES = (

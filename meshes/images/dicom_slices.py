@@ -9,8 +9,6 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.images.dicom_files import Frame, refused
 
-__all__ = ["even_row", "fit_together", "normal_of", "stacked"]
-
 _PARALLEL = 1e-4
 """Largest difference between direction cosines of parallel slices.
 

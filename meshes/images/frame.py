@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array, Numbers, Singles
 from meshes.base.errors import InputError, by, in_brackets
 
-__all__ = ["Image", "StoredImage", "along_lps"]
-
 Kind = TypeVar("Kind", bound=np.generic)
 _FARTHEST_VOXELS = 0.01
 """Largest deviation [voxel] from a grid along LPS axes at which an image is not resampled."""

@@ -12,8 +12,6 @@ from meshes.base.errors import InputError, is_folder, require_file
 from meshes.base.text_tables import natural_order
 from meshes.images.dicom_files import is_dicom
 
-__all__ = ["PLANE_SUFFIXES", "TIFF_STARTS", "plane_files"]
-
 PLANE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 _VOLUMES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".vti", ".dcm")
 """Suffixes of volumes. In a folder with a volume, image planes are previews and are ignored."""

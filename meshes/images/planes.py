@@ -14,8 +14,6 @@ from meshes.base.file_limits import require_memory
 from meshes.images.frame import StoredImage
 from meshes.images.plane_files import TIFF_STARTS
 
-__all__ = ["read_planes"]
-
 _LOSSY = (".jpg", ".jpeg")
 _MIN_IS_WHITE = 0
 _PALETTE = 3

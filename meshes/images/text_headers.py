@@ -18,8 +18,6 @@ from meshes.base.text_tables import number_in
 from meshes.images.data import read_voxels, scaled
 from meshes.images.frame import StoredImage
 
-__all__ = ["header_lines", "numbers", "read_metaimage", "read_nrrd"]
-
 Fields = Mapping[str, str]
 _LONGEST_HEADER = 1 << 20
 """Largest length of a header [byte].

@@ -36,8 +36,6 @@ from meshes.tets.tetrahedralise import FILL_EDGES, tetrahedralise, with_volume
 from meshes.voxels.label_shares import spread_labels
 from meshes.voxels.mesh_sampling import nearest_on_triangles
 
-__all__ = ["LabelledOrgan", "label_triangles", "labelled_organ", "organ_mesh"]
-
 _PER_RADIUS = 1.0 / 3.0
 """Standard deviation of the smoothing, relative to the radius of the largest ball in the label.
 

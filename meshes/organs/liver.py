@@ -38,17 +38,6 @@ from meshes.tets.structured import graded, grid
 from meshes.tets.stuffing import bisected, stuffed, with_part
 from meshes.tets.tetrahedra import TetMesh
 
-__all__ = [
-    "LIVER_REGIONS",
-    "Nodule",
-    "liver",
-    "liver_region",
-    "liver_shape",
-    "onto_liver",
-    "slab",
-    "slab_base",
-]
-
 _TOP_M = (-0.026, 0.0)
 """Position of the right lobe's dome, x and y [m], before the liver is moved to the site frame."""
 _SIZE = 0.94

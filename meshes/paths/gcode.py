@@ -16,8 +16,6 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, counted
 from meshes.base.tables import decoded_text
 
-__all__ = ["ARC_ERROR_MM", "Program", "read_gcode"]
-
 ARC_ERROR_MM = 0.01
 """Largest distance between an arc and the lines that replace the arc [mm].
 

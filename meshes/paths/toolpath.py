@@ -27,21 +27,6 @@ from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface
 from meshes.voxels.mesh_sampling import inside_scattered, triangle_distance
 
-__all__ = [
-    "GCODE",
-    "POSE_COLUMNS",
-    "PathDepth",
-    "ReplayTable",
-    "Toolpath",
-    "arc_length",
-    "depth_along",
-    "kept_corners",
-    "path_distance",
-    "points_along",
-    "read_toolpath",
-    "to_replay",
-]
-
 
 def arc_length(corners: ArrayLike) -> Array:
     """Compute the path length from the first corner to each corner, shape (n,).

@@ -17,15 +17,6 @@ from meshes.base.grid import Grid
 from meshes.base.placement import Placement
 from meshes.shapes.sdf import Shape, box
 
-__all__ = [
-    "CORTICAL_KG_M3",
-    "TRABECULAR_KG_M3",
-    "Anatomy",
-    "Classify",
-    "GridSampler",
-    "cortical_block",
-]
-
 CORTICAL_KG_M3 = 1800.0
 TRABECULAR_KG_M3 = 350.0
 """Apparent densities [kg/m3] that are assumed for a bone that is given only by surfaces.

@@ -25,22 +25,6 @@ from meshes.base.errors import (
     require_vector,
 )
 
-__all__ = [
-    "Shape",
-    "box",
-    "capsule",
-    "cylinder",
-    "difference",
-    "ellipsoid",
-    "half_space",
-    "intersection",
-    "shape_triangles",
-    "smooth_maximum",
-    "smooth_minimum",
-    "sphere",
-    "union",
-]
-
 Points = Floats
 Distances = Floats
 Vector = Sequence[float]

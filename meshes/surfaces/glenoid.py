@@ -35,15 +35,6 @@ from meshes.surfaces.site import Site
 from meshes.surfaces.surface import Surface
 from meshes.voxels.mesh_sampling import TriangleSampler, triangle_distance
 
-__all__ = [
-    "GLENOID_LAYERS",
-    "SURFACE_LAYERS",
-    "GlenoidSizes",
-    "glenoid",
-    "sampled_anatomy",
-    "surface_anatomy",
-]
-
 Thickness = Callable[[Floats, Floats], Floats]
 
 GLENOID_LAYERS = ("subchondral", "cortical", "trabecular")

@@ -22,8 +22,6 @@ from meshes.base.text_tables import (
     require_distinct_columns,
 )
 
-__all__ = ["TO_LPS", "Markup", "read_curve", "read_markups", "read_site"]
-
 TO_LPS = {"LPS": np.ones(3), "RAS": np.array([-1.0, -1.0, 1.0])}
 """Factors of x, y and z that convert each of the two patient frames to LPS."""
 _FRAMES = {**TO_LPS, "0": TO_LPS["RAS"], "1": TO_LPS["LPS"]}

@@ -18,8 +18,6 @@ from meshes.surfaces.site import (
 from meshes.surfaces.surface import Surface
 from meshes.voxels.mesh_sampling import inside_scattered, surface_distance
 
-__all__ = ["VERTEBRA", "find_pedicle"]
-
 VERTEBRA = ("vertebra", "vertebra:left", "vertebra:right")
 _WHAT = "vertebra, whose canal is a hole between a body and two pedicles"
 # If a constant of the search is changed by a fifth to a factor of ten, the site on the synthetic

@@ -23,19 +23,6 @@ from meshes.base.arrays import (
     windings,
 )
 
-__all__ = [
-    "Holes",
-    "close_seams",
-    "drop_debris",
-    "edge_counts",
-    "fill_holes",
-    "is_manifold",
-    "merge_vertices",
-    "open_loops",
-    "orient",
-    "triangle_areas",
-]
-
 
 def merge_vertices(vertices: Array, faces: Ints, tolerance: float) -> Triangles:
     """Merge vertices that have the same nearest point in a lattice with the spacing `tolerance`.

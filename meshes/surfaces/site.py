@@ -14,23 +14,6 @@ from meshes.surfaces.repair import triangle_areas
 from meshes.surfaces.surface import Surface
 from meshes.voxels.mesh_sampling import column_crossings
 
-__all__ = [
-    "FACE_SAMPLES",
-    "FoundSite",
-    "Site",
-    "SurfaceSamples",
-    "across",
-    "axes_along",
-    "corner_near",
-    "exits",
-    "normal_near",
-    "place_site",
-    "refusal",
-    "sample_surface",
-    "site_along",
-    "spread",
-]
-
 FACE_SAMPLES = 40_000
 """Number of surface samples from which the normal of a site is computed.
 

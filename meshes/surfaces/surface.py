@@ -20,8 +20,6 @@ from meshes.surfaces.repair import (
 )
 from meshes.surfaces.triangle_files import read_triangles, require_triangles
 
-__all__ = ["Surface", "SurfaceReport", "read_surface", "surface_from_triangles"]
-
 _MERGE_TOLERANCE = 1e-6
 """Distance at which vertices are merged, relative to the longest side of the bounding box.
 

@@ -14,12 +14,6 @@ from meshes.base.isolated_parser import parse_isolated
 from meshes.base.tables import decoded_text
 from meshes.base.text_tables import number_in, whole_number_in
 
-__all__ = [
-    "SURFACE_SUFFIXES",
-    "read_triangles",
-    "require_triangles",
-]
-
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 _HEADER = 84
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

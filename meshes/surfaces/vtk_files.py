@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from meshes.base.errors import DamagedFileError, InputError
 from meshes.base.isolated_parser import Answer
 
-__all__ = ["check_vtk", "outer_triangles", "read_vtk", "vtk_triangles"]
-
 _CORNERS = {
     1: 1,
     3: 2,

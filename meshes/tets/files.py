@@ -28,14 +28,6 @@ from meshes.tets.msh import (
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import tetrahedralise
 
-__all__ = [
-    "GivenTets",
-    "TetFile",
-    "given_tets",
-    "read_tets",
-    "require_millimetres",
-]
-
 _ORGAN_MM = (20.0, 450.0)
 """Range of the longest side of an organ [mm], from a small gland to an enlarged liver.
 

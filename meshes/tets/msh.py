@@ -17,15 +17,6 @@ from meshes.base.text_tables import number_in, visible, whole_number_in
 from meshes.tets.quality import describe, repair_tets, require_cells
 from meshes.tets.tetrahedra import TetMesh
 
-__all__ = [
-    "MOST_PARTS",
-    "StoredMesh",
-    "broken_sections",
-    "is_old_text",
-    "part_name",
-    "read_msh",
-]
-
 _TRIANGLE = 2
 _TETRAHEDRON = 4
 """Numbers of element types in Gmsh."""

@@ -37,8 +37,6 @@ from meshes.tets.tetrahedra import (
     signed_volumes,
 )
 
-__all__ = ["FLAT", "SLIVER", "describe", "repair_tets", "require_cells", "smooth"]
-
 # limits from the table above
 _DEBRIS = 0.01
 _COINCIDENT = 1e-9

@@ -18,15 +18,6 @@ from meshes.base.errors import (
 from meshes.tets.tetrahedra import TetMesh
 from meshes.voxels.mesh_sampling import nearest_on_triangles
 
-__all__ = [
-    "faces_of",
-    "nodes_behind_plane",
-    "nodes_facing",
-    "nodes_of_part",
-    "place_on_surface",
-    "surface_normals",
-]
-
 Nodes = Ints
 
 

@@ -17,8 +17,6 @@ from meshes.base.arrays import Array, Ints, lattice
 from meshes.base.errors import InputError, require_length
 from meshes.tets.tetrahedra import TetMesh
 
-__all__ = ["box", "graded", "grid"]
-
 
 def grid(x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> TetMesh:
     """Build cuboids between planes at `x_m`, `y_m` and `z_m` [m], each divided into six tetrahedra.

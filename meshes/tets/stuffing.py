@@ -29,16 +29,6 @@ from meshes.surfaces.repair import triangle_areas
 from meshes.tets.tetrahedra import EDGES, TetMesh, mean_ratio, outer_faces, signed_volumes
 from meshes.voxels.mesh_sampling import triangle_distance
 
-__all__ = [
-    "EDGE_GROWTH",
-    "Move",
-    "bisected",
-    "cut_by",
-    "stuffed",
-    "with_inclusion",
-    "with_part",
-]
-
 Move = Callable[[Array], Array]
 """Function from points [m], shape (n, 3), to points [m] of the same shape."""
 _MOST_BISECTED = 5_000_000

@@ -14,22 +14,6 @@ from meshes.base.whole_file import whole_file
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = [
-    "EDGES",
-    "FACES",
-    "TetMesh",
-    "cell_faces",
-    "flatness",
-    "grid_of",
-    "mean_ratio",
-    "outer_faces",
-    "pieces",
-    "pinched_edges",
-    "place",
-    "signed_volumes",
-    "write_organ",
-]
-
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 """Corner indices of the edges of a tetrahedron."""
 FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])

@@ -19,8 +19,6 @@ from meshes.surfaces.surface import Surface
 from meshes.tets.quality import describe, repair_tets
 from meshes.tets.tetrahedra import TetMesh, signed_volumes
 
-__all__ = ["FILL_EDGES", "tetrahedralise", "with_volume"]
-
 FILL_EDGES = 14.0
 """Number of tetrahedron edges along the longest side of an organ if no edge is given."""
 _CELLS = 30_000

@@ -36,9 +36,6 @@ from meshes.voxels.distances import cube_fraction
 from meshes.voxels.label_shares import depth_of_share, spread_labels
 from meshes.voxels.volume import FULL, VoxelVolume
 
-__all__ = ["MOST_SAMPLES", "REACH", "LabelShares", "PlacedLabels", "resampled"]
-
-
 MOST_SAMPLES = 6
 """Largest number of sub-samples along the edge of a voxel.
 

@@ -32,8 +32,6 @@ from meshes.tooth.pulp_cavity import PulpCavity, with_pulp
 from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import voxelise
 
-__all__ = ["CARIES_LABELS", "LabelledTooth", "labelled_tooth"]
-
 CARIES_LABELS: Mapping[int, str] = {1: "caries", 2: "enamel", 3: "dentin"}
 """Labels in segmentations of carious extracted teeth."""
 

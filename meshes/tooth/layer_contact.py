@@ -17,14 +17,6 @@ from meshes.base.errors import InputError
 from meshes.tooth.layers import TOOTH_LAYERS
 from meshes.voxels.mesh_sampling import column_crossings, inside_scattered
 
-__all__ = [
-    "Lattice",
-    "inside_lattice",
-    "measure_contact",
-    "require_pulp_within",
-    "require_touching",
-]
-
 PITCH_M = 0.1e-3
 """Distance between the lattice points [m]."""
 

@@ -49,8 +49,6 @@ from meshes.voxels.voxelise import voxelise
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-__all__ = ["LayeredSolid", "joined", "layered_anatomy", "layered_surfaces"]
-
 _SAMPLE_PITCH_M = 0.1e-3
 _MOST_SAMPLES = 300_000
 """Distance between the sample points of a layer's surface, and largest number of these points.

@@ -29,27 +29,6 @@ from meshes.base.errors import InputError
 from meshes.surfaces.site import Site
 from meshes.voxels.volume import FULL, VoxelVolume
 
-__all__ = [
-    "BONE",
-    "CARIES",
-    "DENTIN",
-    "EMPTY",
-    "ENAMEL",
-    "LAYER_DENSITY_KG_M3",
-    "LIGAMENT",
-    "PRIORITY",
-    "PULP",
-    "TOOTH_LAYERS",
-    "ToothAxes",
-    "caries_density",
-    "caries_softness",
-    "in_chunks",
-    "lesion_site",
-    "require_known",
-    "require_tooth_size",
-    "tooth_axes",
-]
-
 Kind = TypeVar("Kind", bound=np.generic)
 
 TOOTH_LAYERS = ("enamel", "dentin", "pulp", "caries", "ligament", "bone")

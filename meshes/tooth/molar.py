@@ -51,8 +51,6 @@ from meshes.tooth.molar_parts import (
     tooth_distance,
 )
 
-__all__ = ["MolarSizes", "molar"]
-
 _CREST_M = 1.5e-3
 """Distance [m] from the cervical line down to the bone crest, see the table above."""
 _LEAST_OVER_PULP_M = 0.3e-3

@@ -14,8 +14,6 @@ import numpy as np
 from meshes.base.arrays import Floats
 from meshes.shapes.sdf import Shape, box, capsule, smooth_maximum, smooth_minimum, union
 
-__all__ = ["Crown", "Root", "mandibular_roots", "outer_shape", "pulp_shape", "tooth_distance"]
-
 _CUSPS = (
     (0.44, 0.50, 0.90),  # mesiobuccal
     (-0.15, 0.54, 0.86),  # distobuccal

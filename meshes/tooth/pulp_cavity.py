@@ -11,8 +11,6 @@ from meshes.base.arrays import Array, Bytes, Flags, Singles
 from meshes.tooth.layers import DENTIN, ENAMEL, LAYER_DENSITY_KG_M3, PULP
 from meshes.voxels.volume import FULL, VoxelVolume
 
-__all__ = ["PulpCavity", "with_pulp"]
-
 _WIDEST_OPENING_M = 0.8e-3
 """Diameter [m] of the widest opening of a pulp cavity.
 

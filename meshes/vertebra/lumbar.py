@@ -31,8 +31,6 @@ from meshes.base.errors import InputError, Ranged, ranged
 from meshes.shapes.anatomy import Anatomy, Classify
 from meshes.shapes.sdf import Shape, capsule, union
 
-__all__ = ["VERTEBRA_LAYERS", "VertebraSizes", "lumbar_vertebra"]
-
 VERTEBRA_LAYERS = ("cortical", "endplate", "trabecular")
 # Sizes and densities that the table above does not list are priors.
 _ENDPLATE_KG_M3 = 1200.0

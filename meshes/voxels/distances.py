@@ -21,21 +21,6 @@ from meshes.base.arrays import Array, Bytes, Flags, Floats, Ints, Singles
 from meshes.voxels.label_shares import depth_of_share, spread_labels
 from meshes.voxels.volume import VoxelVolume
 
-__all__ = [
-    "FAR",
-    "INSIDE",
-    "OUTSIDE",
-    "SURFACE_ZERO",
-    "LayerAt",
-    "boundary_of_layers",
-    "carried_beyond",
-    "cube_fraction",
-    "layer_boundary",
-    "near_the_surface",
-    "surface_of_fractions",
-    "surface_steps",
-]
-
 _SMALLEST_COMPONENT = 1e-5  # see `cube_fraction`
 
 

@@ -5,8 +5,6 @@ from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Singles
 
-__all__ = ["depth_of_share", "spread_labels"]
-
 _FARTHEST = 1.0
 """Distance from a plane [standard deviations] up to which the share changes monotonically.
 

@@ -19,18 +19,6 @@ import numpy as np
 from meshes.base.arrays import Array, Flags, Floats, Ints, Singles, compact
 from meshes.base.grid import Grid
 
-__all__ = [
-    "ColumnCrossings",
-    "TriangleSampler",
-    "column_crossings",
-    "inside_scattered",
-    "lowest_and_highest",
-    "nearest_on_triangles",
-    "surface_distance",
-    "triangle_distance",
-    "triangles_meeting",
-]
-
 _PAIRS_AT_ONCE = 2_000_000
 """Number of pairs of triangle and line that are tested at once, in a dozen arrays of 16 MB."""
 

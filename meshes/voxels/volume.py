@@ -11,8 +11,6 @@ from meshes.base.arrays import Array, Bytes, box_of
 from meshes.base.errors import InputError, require_positive, require_vector
 from meshes.base.placement import Placement
 
-__all__ = ["FULL", "VoxelVolume", "density_volume"]
-
 DENSEST_KG_M3 = 2e4
 """Largest accepted density [kg/m3], the density of the densest implant metals.
 

@@ -37,15 +37,6 @@ from meshes.voxels.distances import (
 )
 from meshes.voxels.volume import FULL, VoxelVolume
 
-__all__ = [
-    "AROUND_VOXELS",
-    "VoxelArrays",
-    "centres_of",
-    "fill_from_shape",
-    "voxel_fraction",
-    "voxelise",
-]
-
 _BLOCKS_AT_ONCE = 256
 """Number of blocks evaluated at once.
 

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from tissue.evaluation.calibration.answers import Answer
     from tissue.evaluation.calibration.session import Plan, Session, TrialLog
 
-__all__ = ["calibrate"]
-
 
 def calibrate(
     *,

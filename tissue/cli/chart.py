@@ -6,9 +6,6 @@ from pathlib import Path
 from tissue.cli.terminal import Flag, MaybeWhole, console, left_out
 from tissue.system.progress import progress
 
-__all__ = ["chart"]
-
-
 TRIALS = 30
 """Default number of runs of each scene for the test of predictors: ten runs for each hand."""
 TASKS = ("palpation", "wall", "milling")

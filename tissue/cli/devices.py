@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from tissue.haptics.real.adapter import FoundDevice
     from tissue.haptics.real.self_test import SelfTest
 
-__all__ = ["devices"]
-
 
 def devices(
     *,

@@ -12,8 +12,6 @@ from tissue.cli.terminal import (
 )
 from tissue.system.progress import progress
 
-__all__ = ["fit"]
-
 
 def fit(
     scene: str,

@@ -10,8 +10,6 @@ from meshes.base.errors import InputError, names_of_caller
 from tissue.cli.terminal import Flag, MaybeWhole, MemoryGB, Numbers, Texts, console
 from tissue.system.progress import progress
 
-__all__ = ["import_"]
-
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)

@@ -41,8 +41,6 @@ from tissue.system.child import HelperLostError
 from tissue.system.owned_folder import anything_claimed
 from tissue.system.stopping import Terminated, terminated_as_exception
 
-__all__ = ["app", "main"]
-
 COMMANDS = (
     run,
     import_,

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from tissue.simulation.live.run import LiveSettings
     from tissue.simulation.run_folder import Summary
 
-__all__ = ["print_summary", "run"]
-
 
 def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: float) -> None:
     """Print the summary of a run as a table."""

@@ -11,8 +11,6 @@ from meshes.base.progress import silent
 from tissue.cli.terminal import Flag, Formats, Texts, console, left_out, print_table
 from tissue.system.progress import progress
 
-__all__ = ["assess", "compare", "report", "view"]
-
 
 def assess(
     folder: Path,

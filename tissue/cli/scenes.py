@@ -6,8 +6,6 @@ from pathlib import Path
 from meshes.base.errors import InputError
 from tissue.cli.terminal import Flag, console, left_out
 
-__all__ = ["scenes", "schema"]
-
 
 def scenes(name: str | None = None, /, *, out: Path | None = None, overwrite: Flag = False) -> None:
     """List the named scenes, or print one of them as TOML, which can be copied and edited.

@@ -4,8 +4,6 @@ import signal
 
 from tissue.cli.terminal import Flag, Overrides, Whole, console, left_out, problems
 
-__all__ = ["serve"]
-
 
 def serve(
     scene: str,

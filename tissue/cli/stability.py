@@ -6,8 +6,6 @@ from meshes.base.errors import InputError
 from tissue.cli.terminal import Flag, Overrides, Texts, console, left_out, problems
 from tissue.system.progress import progress
 
-__all__ = ["stability"]
-
 
 def stability(
     scene: str | None = None,

@@ -13,9 +13,6 @@ from tissue.system.progress import progress
 if TYPE_CHECKING:
     from tissue.evaluation.study.plan import Plan
 
-__all__ = ["study"]
-
-
 study = App(
     name="study",
     help="Compare methods of rendering force over many trials, and report what they show.",

@@ -12,8 +12,6 @@ from meshes.base.text_tables import read_toml
 from tissue.cli.terminal import Flag, Formats, MaybeWhole, Overrides, console, print_table, problems
 from tissue.system.progress import progress
 
-__all__ = ["parse_values", "sweep"]
-
 
 def sweep(
     scene: str,

@@ -9,22 +9,6 @@ from rich.console import Console
 from meshes.base.errors import PRESENT, InputError
 from meshes.base.text_tables import visible, whole_number_in
 
-__all__ = [
-    "ADDRESS",
-    "Flag",
-    "Formats",
-    "MaybeWhole",
-    "MemoryGB",
-    "Numbers",
-    "Overrides",
-    "Texts",
-    "Whole",
-    "console",
-    "left_out",
-    "print_table",
-    "problems",
-]
-
 
 class _Terminal(Console):
     """Console that prints text unchanged.

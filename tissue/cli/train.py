@@ -6,8 +6,6 @@ from tissue.cli.terminal import Flag, MaybeWhole, Overrides, Whole, console
 from tissue.system.owned_folder import OutputLock
 from tissue.system.progress import progress
 
-__all__ = ["train"]
-
 
 def train(
     scene: str,

@@ -48,8 +48,6 @@ from tissue.show.figures.ct_pictures import (
     mesh_of,
 )
 
-__all__ = ["bone_draft"]
-
 _SIDE_MM = (1.0, 1000.0)
 """Plausible range of the longest side of a bone.
 

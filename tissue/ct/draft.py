@@ -18,19 +18,6 @@ from meshes.surfaces.surface import Surface
 from tissue.scene.scene import Scene
 from tissue.system.owned_folder import OwnedFolder, listed_files
 
-__all__ = [
-    "RECORD",
-    "SCENE",
-    "Draft",
-    "Writer",
-    "scene_name",
-    "scene_tables",
-    "toml",
-    "write_density",
-    "write_labels",
-    "write_surface",
-]
-
 SCENE = "scene.toml"
 RECORD = "import.json"
 Writer = Callable[[Path], str | None]

@@ -13,8 +13,6 @@ from tissue.ct.labelled import organ_draft, tooth_draft
 from tissue.ct.request import ImportRequest
 from tissue.system.owned_folder import require_folder
 
-__all__ = ["Imported", "import_ct"]
-
 
 @dataclass(frozen=True)
 class Imported:

@@ -32,8 +32,6 @@ from tissue.show.figures.ct_pictures import (
     outline_of,
 )
 
-__all__ = ["organ_draft", "tooth_draft"]
-
 LIKE = "caries"
 """Scene that provides tool and motion for a tooth by default."""
 PARTS = ("voxels", "tool", "motion", "cutting", "output", "duration_s", "device")

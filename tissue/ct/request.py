@@ -35,19 +35,6 @@ from meshes.surfaces.site import Site, corner_near, place_site
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.surfaces.triangle_files import SURFACE_SUFFIXES
 
-__all__ = [
-    "NAMED_SITES",
-    "Coordinates",
-    "ImportRequest",
-    "ImportedPath",
-    "Placed",
-    "Point",
-    "import_path",
-    "kept_clear",
-    "placed",
-    "plain_names",
-]
-
 Coordinates = Literal["LPS", "RAS"]
 Point = tuple[float, float, float]
 

@@ -15,16 +15,6 @@ from meshes.base.arrays import Array, Int32s, Ints, lattice
 from tissue.cutters.cutter import spiral
 from tissue.cutters.profile import Arc, Line, Piece, Profile
 
-__all__ = [
-    "MEDIAL_TOLERANCE_M",
-    "MedialAxis",
-    "OutlineTable",
-    "body_points",
-    "convex_parts",
-    "medial_axis",
-    "outline_table",
-]
-
 ON_SURFACE = 3000
 INSIDE = 1000
 """Approximate largest number of points inside a tool; chosen for pictures.

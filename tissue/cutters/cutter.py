@@ -15,9 +15,6 @@ from meshes.base.errors import counted
 from meshes.base.hints import suggests_arguments
 from tissue.cutters.profile import Piece, Profile
 
-__all__ = ["Cutter", "DistanceTable", "PointShell", "spiral"]
-
-
 TABLE_ERROR_VOXELS = 2.0e-4
 """Error of the distance table [voxel], curvature x cell^2 / 8.
 

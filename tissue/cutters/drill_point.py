@@ -23,8 +23,6 @@ import numpy as np
 
 from meshes.base.arrays import Array
 
-__all__ = ["DrillPoint"]
-
 CHISEL_ANGLE = radians(130.0)
 """Angle between chisel edge and lip, in a view along the axis; drills have 120 to 135 degrees."""
 FRICTION_ANGLE = atan(160.0 / 250.0)

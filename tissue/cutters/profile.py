@@ -17,19 +17,6 @@ from meshes.base.arrays import Array, Flags
 from meshes.base.hints import suggests_arguments
 from tissue.cutters.drill_point import DrillPoint
 
-__all__ = [
-    "Arc",
-    "Line",
-    "Piece",
-    "Profile",
-    "ball_burr",
-    "cylinder",
-    "flat_reamer",
-    "hemispherical_reamer",
-    "pear_bur",
-    "twist_drill",
-]
-
 SMOOTH = 0.999
 """Cosine of the angle between normals above which an outline counts as smooth; chosen."""
 WEB = 0.18

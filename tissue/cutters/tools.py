@@ -10,16 +10,6 @@ from tissue.cutters import profile
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import Profile
 
-__all__ = [
-    "ball_burr",
-    "cylinder",
-    "flat_reamer",
-    "hemispherical_reamer",
-    "of_profile",
-    "pear_bur",
-    "twist_drill",
-]
-
 FASTEST_RPM = 1e6
 """Highest allowed spin [turns per minute]; an air turbine has 400,000."""
 

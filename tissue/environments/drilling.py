@@ -16,8 +16,6 @@ from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.thrust import SpeedSearch, implicit_speed
 
-__all__ = ["Drilling"]
-
 REGION_M = np.array([[-2.0e-3, -2.0e-3, -4.0e-3], [2.0e-3, 2.0e-3, 1.2e-3]])
 """Corners of the part of the crown that can be cut [m].
 

@@ -28,8 +28,6 @@ from tissue.simulation.builders.arguments import given_note
 from tissue.simulation.builders.cutting import VoxelBone
 from tissue.simulation.loop import Stepper
 
-__all__ = ["ContactEnvironment", "Entry", "RestorableBone"]
-
 LAYER_BITS = 255
 """Mask of the layer in the material word of a voxel; the upper half of the word is the density
 [kg/m3].

@@ -13,8 +13,6 @@ from tissue.environments.environment import ContactEnvironment, Entry, Restorabl
 from tissue.models.bone.model import BoneModel
 from tissue.models.tissue_model import Response, ToolMotion
 
-__all__ = ["Milling"]
-
 LAYERS = ("target", "tolerance", "spared")
 BLOCK_MM = (13.2, 10.8, 3.6)
 """Size of the block [mm]: the largest pocket, the burr and a margin, in whole voxels.

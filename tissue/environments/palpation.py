@@ -14,8 +14,6 @@ from tissue.models.organ.soft_organ import ToolPath
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.simulation.builders.organ_given import SoftMaterial
 
-__all__ = ["Palpation"]
-
 SIZE_M = (0.1, 0.1, 0.028)
 """Size of the slab [m].
 

@@ -29,16 +29,6 @@ from tissue.simulation.bone_surface import tool_axes
 from tissue.simulation.run_folder import Summary
 from tissue.simulation.trace import Table
 
-__all__ = [
-    "Assessment",
-    "Breach",
-    "NoSharedContactError",
-    "Quantity",
-    "assess",
-    "path_note",
-]
-
-
 GAP_S = 0.15
 """Longest time between two breaches that count as one breach [s]; about one period of slow tremor.
 

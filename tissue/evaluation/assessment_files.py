@@ -14,12 +14,6 @@ from tissue.evaluation.steadiness import SCALE, Steadiness
 from tissue.show.figures.figure import figure, save
 from tissue.system.owned_folder import OwnedFolder
 
-__all__ = [
-    "assessed_section",
-    "assessment_lines",
-    "write_assessment",
-]
-
 MOST_BREACHES = 8
 """Largest number of breaches in the printed text. ``assessment.json`` holds all breaches."""
 FILES = ("assessment.json", "assessment.png")

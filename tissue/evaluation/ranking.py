@@ -21,16 +21,6 @@ from tissue.system.owned_folder import OwnedFolder
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = [
-    "Attempt",
-    "Person",
-    "Ranking",
-    "is_run",
-    "rank",
-    "ranking_lines",
-    "write_ranking",
-]
-
 FILES = ("ranking.csv", "ranking.png")
 LEAST_ATTEMPTS = 3
 """Smallest number of attempts of a trainee from whose spread an interval is computed."""

@@ -34,9 +34,6 @@ from tissue.simulation.loop import Stepper
 from tissue.simulation.reference_force import ideal_scene, rendered_force_N
 from tissue.simulation.simulate import TICK_S, build
 
-__all__ = ["IDEAL_SHARE", "Recorder", "Recording", "trial"]
-
-
 IDEAL_SHARE = 0.25
 """Weight of the ideal force in the training targets, for a tool that does not cut.
 

@@ -15,16 +15,6 @@ from tissue.scene.used_constants import used_constants
 from tissue.simulation.run_folder import Summary
 from tissue.simulation.trace import Table
 
-__all__ = [
-    "AssessedRun",
-    "OtherTaskError",
-    "coupling_notes",
-    "require_same_task",
-    "scene_differences",
-    "scene_notes",
-]
-
-
 TASK = ("anatomy", "keep_clear", "organ", "cutting", "tool")
 """Parts of a scene that define the task.
 

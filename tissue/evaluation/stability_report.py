@@ -15,9 +15,6 @@ from tissue.show.figures.figure import figure, save
 from tissue.simulation.builders.loop import judged_loop, loop_settings
 from tissue.system.owned_folder import OwnedFolder
 
-__all__ = ["scene_stability", "stability_lines", "write_stability_files"]
-
-
 FILES = ("stability.png", "stability_damping.csv", "stability_delay.csv")
 LABELS = {
     "wall_damping_N_s_m": ("virtual damping / N s/m", 1.0),

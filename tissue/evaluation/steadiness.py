@@ -13,8 +13,6 @@ from tissue.haptics.hand.hand import HandParameters, hand_parameters
 from tissue.materials.scene_constants import Materials
 from tissue.models.tissue_model import TICK_S
 
-__all__ = ["SCALE", "Steadiness", "hand_motion_m", "steadiness"]
-
 Spectrum = NDArray[np.complex128]
 BAND_HZ = 8.0, 12.0
 """Band of physiological tremor [Hz]; see `tremor_Hz` and `tremor_width_Hz` in hands.toml."""

@@ -27,20 +27,6 @@ from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.prediction import FALLBACKS, trained_predictor
 
-__all__ = [
-    "HORIZONS",
-    "MOST_TRIALS",
-    "TRIALS",
-    "fit",
-    "forecast",
-    "forecast_errors",
-    "touching",
-    "train",
-    "validated",
-    "with_fallback",
-]
-
-
 TRIALS = 12
 """Default number of recorded runs of a scene: four for each expertise group."""
 LEAST_TRIALS = 6

@@ -40,16 +40,6 @@ from tissue.fem.space import (
 )
 from tissue.materials.elasticity import elasticity_rows, lame
 
-__all__ = [
-    "STANDARD_GRAVITY_M_S2",
-    "assemble",
-    "capsule_stiffness",
-    "gravity",
-    "pair_tables",
-    "traction",
-]
-
-
 SOFTENED_RATIO = 1.0
 """Part of the first Lame constant that is not softened, divided by the shear modulus.
 

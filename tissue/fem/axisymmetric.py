@@ -24,9 +24,6 @@ from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
 from tissue.materials.hyperelasticity import Hyperelastic
 
-__all__ = ["LayerMesh", "LinearLaw", "layer_grid", "layer_mesh", "press_forces"]
-
-
 WIDTH = 4.0
 """Smallest radius of the layer, divided by the sum of its thickness and the ball's radius.
 

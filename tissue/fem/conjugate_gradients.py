@@ -9,14 +9,6 @@ import numpy as np
 
 from meshes.base.arrays import Array
 
-__all__ = [
-    "Iterate",
-    "Solution",
-    "SolverOutcome",
-    "conjugate_gradients",
-    "dot",
-]
-
 
 class SolverOutcome(Enum):
     """Outcome of a solve. The value describes the cause and the remedy."""

@@ -12,8 +12,6 @@ from meshes.base.arrays import Array, Bytes, Int32s, Ints, Singles
 from tissue.fem.space import Space, gradient_slopes
 from tissue.materials.elasticity import elasticity_rows, stiffness_of_lame
 
-__all__ = ["FieldSeries", "Frame", "StressState", "cell_stress", "group_stress"]
-
 
 @dataclass(frozen=True, eq=False)
 class Frame:

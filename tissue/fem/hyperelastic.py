@@ -22,8 +22,6 @@ from tissue.fem.space import Space, gauss_points, gradient_slopes, local_pairs
 from tissue.materials.elasticity import elasticity_rows
 from tissue.materials.hyperelasticity import Hyperelastic
 
-__all__ = ["Law", "NonlinearBody"]
-
 
 class Law(Enum):
     """Elastic laws with the same small-strain limit; the value describes the range of validity."""

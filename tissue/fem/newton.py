@@ -27,16 +27,6 @@ from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody
 
-__all__ = [
-    "LONGEST",
-    "NODES",
-    "NewtonSolution",
-    "NewtonSolver",
-    "RigidSphere",
-    "press_at",
-    "resting_sphere",
-]
-
 
 class RigidSphere:
     """Rigid sphere in contact with the nodes of a surface.

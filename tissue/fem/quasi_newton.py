@@ -25,8 +25,6 @@ from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import components_of
 from tissue.fem.solvers.multifrontal import NotPositiveDefiniteError
 
-__all__ = ["Body", "Followed", "QuasiNewton", "Springs"]
-
 MEMORY = 12
 """Number of steps whose curvature pairs are kept."""
 HALVINGS = 12

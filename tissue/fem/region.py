@@ -28,8 +28,6 @@ from tissue.fem.solvers.held_body import components_of
 from tissue.fem.space import Pattern, Space
 from tissue.materials.hyperelasticity import Hyperelastic
 
-__all__ = ["RegionBody"]
-
 MODES = 48
 """Largest number of modes of a border, a multiple of three.
 

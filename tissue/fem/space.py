@@ -32,20 +32,6 @@ from meshes.base.arrays import Array, Int32s, Ints
 from meshes.base.errors import InputError
 from meshes.tets.tetrahedra import TetMesh
 
-__all__ = [
-    "EDGES",
-    "TRIANGLE_EDGES",
-    "Pattern",
-    "Space",
-    "gauss_points",
-    "gradient_products",
-    "gradient_slopes",
-    "grouped",
-    "local_pairs",
-    "mean_gradient_products",
-    "mean_shape",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Pattern:

@@ -26,16 +26,6 @@ from tissue.scene.scene import Cutting, Scene, Voxels
 from tissue.scene.tool import Tool
 from tissue.simulation.load_record import SENSITIVITIES, LayerLoads, LoadRecord, record_loads
 
-__all__ = [
-    "CuttingForward",
-    "cutting_candidates",
-    "cutting_forward",
-    "cutting_problem",
-    "fixed_densities",
-    "forward_of",
-]
-
-
 DENSITY = Prior(1.0, 0.85, 1.18)
 """Prior of the factor on a layer's density, with a standard deviation of 10 %.
 

@@ -25,9 +25,6 @@ from tissue.scene.anatomy import CutAnatomy
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 
-__all__ = ["SceneFit", "TableFit", "fit_scene", "fit_table"]
-
-
 FITTED = "fit a scene of bone, a tooth or an organ under a probe"
 SHOWN = 5
 """Largest number of combinations in the verdicts, and of logs to measure next in a report."""

@@ -19,9 +19,6 @@ from tissue.materials.constants import Constant
 from tissue.system.html import html_list, html_page, html_picture
 from tissue.system.owned_folder import OwnedFolder
 
-__all__ = ["write_fit", "write_fitted"]
-
-
 DIGITS = 9
 """Significant digits of a number. The rounding is far smaller than any interval."""
 

@@ -15,16 +15,6 @@ from tissue.fitting.problem import Forward, MeasuredLoads
 from tissue.fitting.target import Target, Unpacked
 from tissue.materials.constants import Z_95
 
-__all__ = [
-    "AT_PRIOR",
-    "DETERMINED",
-    "Combination",
-    "Gain",
-    "Identified",
-    "expected_information",
-    "identified",
-]
-
 AT_PRIOR = 0.9
 """Ratio of standard deviations above which a constant counts as unchanged from its prior.
 

@@ -24,9 +24,6 @@ from tissue.fitting.table import SteadyTable, TableTarget, table_forward
 from tissue.scene.scene import Scene
 from tissue.simulation.load_record import SENSITIVITIES
 
-__all__ = ["REJECTED", "LawMisfit", "MaximumLikelihood", "compared_laws", "law_sentences"]
-
-
 REJECTED = 0.05
 """Limit of the probability of a larger misfit (p value), below which a law is rejected."""
 TORQUE = ("tangential_chip_Pa", "tangential_edge_N_m")

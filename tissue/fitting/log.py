@@ -32,9 +32,6 @@ from tissue.fitting.problem import SD_PER_MAD, MeasuredLoads, block_averages, bl
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.parts import motion_of
 
-__all__ = ["MeasuredLog", "log_of"]
-
-
 LARGEST = {"N": 1e5, "Nm": 1e4}
 """Loads from which a log is refused, because its unit must be wrong [N, N m]."""
 FARTHEST_M = 10.0

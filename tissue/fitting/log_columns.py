@@ -11,19 +11,6 @@ from meshes.base.text_tables import number_or_nan
 from meshes.base.units import UNITS, column_of, name_of, plain_unit, unit_of
 from tissue.fitting.log_files import CHANNELS, QUATERNION, TIPS, LogColumns
 
-__all__ = [
-    "FORCES",
-    "QUANTITIES",
-    "ROTATION_VECTOR",
-    "TIMES",
-    "column_for",
-    "from_first",
-    "parsed",
-    "quantities",
-    "split_unit",
-    "suggested",
-]
-
 ROTATION_VECTOR = tuple(f"tool_r{c}_rad" for c in "xyz")
 FORCES = CHANNELS[:3]
 TORQUES = CHANNELS[3:]

@@ -22,18 +22,6 @@ from meshes.base.tables import read_table
 from meshes.base.text_tables import number_in
 from tissue.motion.drilling_recording import poses_group, read_drilling
 
-__all__ = [
-    "CHANNELS",
-    "QUATERNION",
-    "TIPS",
-    "LogColumns",
-    "mat_columns",
-    "parquet_columns",
-    "read_columns",
-    "refusal",
-]
-
-
 _RATE = re.compile(r"(?:rate|frequency)\W*(\d+(?:[.,]\d+)?)\W*Hz", re.IGNORECASE)
 """Pattern of the rate in the text above a table, such as "Acquisition rate : 10.0 [Hz]".
 """

@@ -41,9 +41,6 @@ from meshes.base.arrays import Array
 from tissue.fitting.target import OFFSET_S, Target
 from tissue.materials.constants import Z_95
 
-__all__ = ["Marginal", "log_density_at", "log_factor", "marginal"]
-
-
 STEPS = np.cumsum(0.4 * 1.25 ** np.arange(16))
 """Grid points on each side of the maximum.
 

@@ -25,8 +25,6 @@ from tissue.scene.organ import LiverFile, SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
 
-__all__ = ["OrganForward", "Settled", "organ_problem", "settled"]
-
 
 @dataclass(frozen=True, eq=False)
 class OrganForward:

@@ -28,9 +28,6 @@ from tissue.simulation.loop import Loop, undisturbed
 from tissue.simulation.simulate import builder_of, tick_count
 from tissue.system.workers import worker_pool
 
-__all__ = ["KEYS", "PART", "OrganRuns", "Poses", "organ_parameters"]
-
-
 KEYS = "organ."
 PART = "organ.parts."
 """Prefix of the names of moduli of parts.

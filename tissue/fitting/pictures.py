@@ -10,8 +10,6 @@ from tissue.fitting.problem import MeasuredLoads
 from tissue.fitting.result import ConstantFit, words_of
 from tissue.show.figures.figure import COMPONENTS, legend_above, panelled, plain, save, styled
 
-__all__ = ["draw_constants", "draw_log", "draw_rows"]
-
 MEASURED = "0.55"
 SIMULATED = "#0072B2"
 PRIOR = "0.75"

@@ -19,16 +19,6 @@ from tissue.fitting.problem import Forward, MeasuredLoads
 from tissue.fitting.target import OFFSET_S, Target, Unpacked
 from tissue.materials.constants import Prior
 
-__all__ = [
-    "Posterior",
-    "maximum_of",
-    "maximum_posterior",
-    "require_signs",
-    "reversed_channels",
-    "starts",
-]
-
-
 OFFSETS_S = OFFSET_S * np.concatenate(
     [np.arange(-10.0, -3.0), np.linspace(-3.0, 3.0, 25), np.arange(4.0, 11.0)]
 )

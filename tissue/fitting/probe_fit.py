@@ -36,17 +36,6 @@ from tissue.fitting.problem import Parameter, chosen
 from tissue.fitting.result import ConstantFit, Fitted
 from tissue.scene.scene import Scene
 
-__all__ = [
-    "FittedCurve",
-    "ProbeFit",
-    "common_pattern",
-    "fit_curves",
-    "fit_probes",
-    "median_curve",
-    "presses_for",
-]
-
-
 RESAMPLES = 1000
 """Number of resampled sets of presses.
 

@@ -23,17 +23,6 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
 from tissue.simulation.builders.organ import hindrance, law_of, with_cited_shape
 
-__all__ = [
-    "SHAPES",
-    "LayerScene",
-    "ProbeCurves",
-    "layer_scene",
-    "probe_curves",
-    "require_shallow",
-    "shape_keys",
-]
-
-
 SHAPES = {
     "second_share": (0.05, 0.95),
     "square_ratio": (0.1, 100.0),

@@ -13,9 +13,6 @@ from meshes.base.units import name_of
 from tissue.fitting.log_columns import TIMES, column_for, parsed, quantities
 from tissue.fitting.log_files import LogColumns, refusal
 
-__all__ = ["ProbeTable", "at_common_depths", "is_probe_table", "read_presses"]
-
-
 DEPTH = "depth_mm"
 FORCE = "force_N"
 PROBE = "probe"

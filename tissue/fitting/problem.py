@@ -12,18 +12,6 @@ from meshes.base.errors import InputError
 from tissue.materials.constants import Prior
 from tissue.models.tissue_model import TICK_S
 
-__all__ = [
-    "SD_PER_MAD",
-    "Forward",
-    "MeasuredLoads",
-    "Parameter",
-    "Problem",
-    "block_averages",
-    "block_ticks",
-    "chosen",
-    "shift_operators",
-]
-
 
 @dataclass(frozen=True)
 class Parameter:

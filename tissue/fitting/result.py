@@ -13,9 +13,6 @@ from tissue.fitting.laws import LawMisfit
 from tissue.fitting.organ_runs import KEYS
 from tissue.materials.constants import Prior
 
-__all__ = ["FAR", "ConstantFit", "Fitted", "words_of"]
-
-
 NUISANCES = ("density.", KEYS)
 """Prefixes of the names of numbers that belong to the specimen of a log or to its scene.
 

@@ -25,9 +25,6 @@ from tissue.simulation.builders.cutting import cutter_of
 from tissue.simulation.load_record import LayerLoads, LoadRecord
 from tissue.simulation.trace import Table
 
-__all__ = ["SteadyTable", "TableTarget", "is_table", "read_table", "table_forward"]
-
-
 FEEDS = ("feed_mm_s", "feed_mm_per_turn")
 SPIN = "spin_rpm"
 CHANNELS = {"thrust_N": "force_z_N", "torque_Nm": "torque_z_Nm"}

@@ -14,9 +14,6 @@ from scipy.special import gammaln
 from meshes.base.arrays import Array
 from tissue.fitting.problem import SD_PER_MAD, Forward, MeasuredLoads, shift_operators
 
-__all__ = ["OFFSET_S", "Target", "Unpacked", "innovations", "likelihood", "place_information"]
-
-
 OFFSET_S = 0.02
 """Standard deviation of the prior of the time between force clock and pose clock [s].
 

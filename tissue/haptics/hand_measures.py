@@ -1,27 +1,5 @@
 """Names and indices of the trace columns of a device, a prediction and a perception model."""
 
-__all__ = [
-    "CUE",
-    "ENERGY",
-    "FILTERED_FORCE",
-    "HAND_FORCE",
-    "MARGIN",
-    "MEASURES",
-    "PERCEIVED",
-    "PLAYED_FORCE",
-    "PLAYED_TORQUE",
-    "POSITION",
-    "PREDICTED",
-    "PREDICTED_BY",
-    "PREDICTED_FORCE",
-    "QUATERNION",
-    "RAW_FORCE",
-    "RESIDUAL",
-    "SATURATED",
-    "TRUE",
-    "VIBRATION",
-]
-
 MEASURES = (
     *(f"device_{c}_mm" for c in "xyz"),
     *(f"device_q{c}" for c in "xyzw"),

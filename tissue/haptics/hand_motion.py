@@ -21,8 +21,6 @@ from tissue.motion.motion import Motion, matrix_of
 from tissue.motion.quaternion import UPRIGHT, Quaternion
 from tissue.prediction.predictor import Contact, Predictor, SeesContact
 
-__all__ = ["HandMotion", "Rendering", "Script"]
-
 SMOOTH_S = 0.01
 SMOOTH_SAMPLES = 5
 """Smallest time [s] and number of samples for averaging the speed of a tool without inertia.

@@ -12,19 +12,6 @@ from tissue.haptics.loop.sampled_loop import WallLoop
 from tissue.motion.quaternion import Quaternion, turn_between
 from tissue.scene.registry import RENDERERS
 
-__all__ = [
-    "RELEASE_RAD_S",
-    "PassivityControl",
-    "PassivityObserver",
-    "PassivityRenderer",
-    "PenaltyRenderer",
-    "ProxyRenderer",
-    "Renderer",
-    "TurningRenderer",
-    "passivity",
-    "renderer",
-]
-
 SPEED_TICKS = 3
 """Number of ticks over which the passivity controller averages the speed.
 

@@ -19,8 +19,6 @@ from tissue.haptics.hand.hand import Hand, HandParameters, waypoints
 from tissue.haptics.renderer import Renderer, renderer
 from tissue.models.tissue_model import TICK_S
 
-__all__ = ["WallRun", "knock", "press_wall"]
-
 DEPTH_M = 5e-3
 """Height of the start position above the wall, and depth of the hand's target below it [m]."""
 JERK_N = 2.0

@@ -14,28 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from meshes.base.arrays import Array, Floats
 
-__all__ = [
-    "HEADER_BYTES",
-    "NEWTON",
-    "NEWTON_METRE",
-    "STATUS_OK",
-    "STATUS_SHUT_DOWN",
-    "Header",
-    "IgtlError",
-    "content_of",
-    "crc64",
-    "image_body",
-    "ndarray_body",
-    "packed",
-    "parse_header",
-    "parse_transform",
-    "polydata_body",
-    "sensor_body",
-    "status_body",
-    "string_body",
-    "transform_body",
-]
-
 POLYNOMIAL = 0x42F0E1EBA9EA3693
 """Polynomial of the CRC-64 checksum of ECMA-182.
 

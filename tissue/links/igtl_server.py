@@ -12,8 +12,6 @@ from typing import TypeVar
 from meshes.base.errors import InputError
 from tissue.links.igtl_messages import HEADER_BYTES, Header, IgtlError, content_of, parse_header
 
-__all__ = ["Client", "IgtlServer", "Received"]
-
 Result = TypeVar("Result")
 
 LOCAL = "127.0.0.1"

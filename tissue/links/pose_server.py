@@ -17,8 +17,6 @@ from tissue.links.ros2 import NAMESPACE, RosNode, fill
 if TYPE_CHECKING:
     from tissue.scene.coupling import Hardware
 
-__all__ = ["PosedLoop", "serve_network", "serve_ros2"]
-
 LOOK_S = 0.05
 """Longest time between two checks whether the server must stop [s].
 

@@ -10,8 +10,6 @@ from meshes.base.errors import InputError
 from tissue.simulation.live.shared import SharedArrays
 from tissue.system.child import own_process
 
-__all__ = ["RunPublisher", "publish"]
-
 
 class RunPublisher(ABC):
     """Publisher of the rows of a live run.

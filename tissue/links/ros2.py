@@ -12,9 +12,6 @@ from typing import Any
 from meshes.base.arrays import Array
 from tissue.links.publishing import RunPublisher, publish
 
-__all__ = ["NAMESPACE", "Ros2Publisher", "RosNode", "fill"]
-
-
 NAMESPACE = "tissue"
 """Namespace of the topics, such as /tissue/measured_cp."""
 FRAME = "tissue_scene"

@@ -23,9 +23,6 @@ from tissue.simulation.live.shared import BoneSurface, Start, tissue_surface
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["TARGET", "Publisher", "scene_to_ras"]
-
-
 LPS_TO_RAS: Array = np.diag([-1.0, -1.0, 1.0, 1.0])
 """Conversion from LPS (left, posterior, superior) to RAS (right, anterior, superior) axes."""
 # names of the messages, which 3D Slicer uses as names of its nodes

@@ -16,22 +16,6 @@ from numpy.typing import ArrayLike
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
-__all__ = [
-    "CUT_AS",
-    "LINEAR",
-    "Constant",
-    "CuttingCoefficients",
-    "Entry",
-    "Prior",
-    "add_material",
-    "changed_coefficients",
-    "constants",
-    "cutting_coefficients",
-    "effective_chip",
-    "listed",
-    "thermal_material",
-]
-
 UM = 1e-6  # [m]
 N_MM2 = 1e6  # [Pa]
 N_MM = 1e3  # [N/m]

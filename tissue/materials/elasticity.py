@@ -11,19 +11,6 @@ from numpy.typing import ArrayLike
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
-__all__ = [
-    "checked_stiffness",
-    "elasticity_rows",
-    "fibre_ratio_range",
-    "lame",
-    "orthotropic",
-    "rotated",
-    "stiffness_of_lame",
-    "transversely_isotropic",
-    "volume_preserving_ratio",
-]
-
-
 VOIGT = np.array([[0, 0], [1, 1], [2, 2], [1, 2], [0, 2], [0, 1]])
 """Row and column of the tensor component at each Voigt index."""
 

@@ -25,8 +25,6 @@ from numpy.typing import ArrayLike
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
-__all__ = ["Hyperelastic"]
-
 
 @dataclass(frozen=True)
 class Hyperelastic:

@@ -25,8 +25,6 @@ from numpy.typing import ArrayLike
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive
 
-__all__ = ["HereditaryIntegral", "Prony", "Spectrum"]
-
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:

@@ -28,8 +28,6 @@ from tissue.materials.constants import (
     listed,
 )
 
-__all__ = ["Materials", "checked_constant", "energy_note"]
-
 TABLES = ("cutting", "tooth", "soft", "needle", "devices", "hands")
 """Names of the tables whose constants a file may replace."""
 ENERGY = "tangential_chip_N_mm2"

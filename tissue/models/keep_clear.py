@@ -23,8 +23,6 @@ from tissue.cutters.profile import Profile
 from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import TICK_S, ToolMotion
 
-__all__ = ["APART_M", "OVERLAP_M", "Distance", "KeepClear", "Structure"]
-
 Distance = Callable[[Array], Floats]
 """Function from points [m], shape (n, 3), to signed distances [m], shape (n,), negative inside."""
 DEVICE = "cpu"

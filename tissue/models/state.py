@@ -12,8 +12,6 @@ from pydantic import BaseModel
 
 from meshes.base.errors import InputError
 
-__all__ = ["State", "copied", "fingerprint", "put_back", "require_shapes"]
-
 State = dict[str, Any]
 """State of an object by name: numbers, arrays and plain objects that can be pickled."""
 

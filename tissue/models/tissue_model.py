@@ -11,28 +11,6 @@ from meshes.base.errors import InputError, require_positive
 from tissue.fem.fields import FieldSeries
 from tissue.models.state import State
 
-__all__ = [
-    "SLOW",
-    "TICK_S",
-    "Finishes",
-    "FreeSpace",
-    "HasFields",
-    "HasHeat",
-    "HasNotices",
-    "HasState",
-    "HasSummary",
-    "HasVoxels",
-    "MayLag",
-    "Response",
-    "SchedulesBackground",
-    "StartsBackground",
-    "StopsReporting",
-    "TissueModel",
-    "ToolMotion",
-    "WaitsForBackground",
-    "WallModel",
-]
-
 TICK_S = 1e-3
 """Length of a tick [s]."""
 SLOW = "longer than its interval"

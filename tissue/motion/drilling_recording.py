@@ -13,18 +13,6 @@ from meshes.base.extras import install_command
 from meshes.base.file_limits import require_memory, require_regular
 from tissue.motion.motion import first_off_unit
 
-__all__ = [
-    "EVENTS",
-    "POSES",
-    "RECORDINGS",
-    "SHAFT_TO_X",
-    "DrillingRecording",
-    "PoseFile",
-    "poses_group",
-    "read_drilling",
-]
-
-
 POSES = "physics_data/continuous_data/high_frequency_poses"
 """HDF5 group that contains one group of poses for each object."""
 EVENTS = "physics_data/intermittent_data"

@@ -15,19 +15,6 @@ from meshes.base.errors import InputError
 from tissue.models.tissue_model import Response, TissueModel, ToolMotion
 from tissue.motion.quaternion import OFF_UNIT, of_matrix
 
-__all__ = [
-    "LONGEST_S",
-    "Events",
-    "FeedLimit",
-    "FollowPath",
-    "Motion",
-    "StaysAt",
-    "first_off_unit",
-    "frame_along",
-    "matrix_of",
-    "quaternion_of",
-]
-
 LONGEST_S = 3600.0
 """Longest motion of a run [s]: an hour, 3.6 million ticks.
 

@@ -11,8 +11,6 @@ from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.motion import StaysAt, matrix_of
 from tissue.motion.quaternion import OFF_UNIT
 
-__all__ = ["PosedTool", "pose_in", "poses_in", "rotation_by", "rotation_vector"]
-
 FASTEST_M_S = 10.0
 """Largest accepted speed of a tool [m/s]; a larger speed is due to a pose in a wrong unit.
 

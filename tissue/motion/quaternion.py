@@ -3,22 +3,6 @@
 from collections.abc import Sequence
 from math import atan2, cos, inf, sin, sqrt
 
-__all__ = [
-    "NOTHING",
-    "OFF_UNIT",
-    "UPRIGHT",
-    "Quaternion",
-    "Triple",
-    "conjugate",
-    "exponential",
-    "is_nearly_unit",
-    "logarithm",
-    "of_matrix",
-    "product",
-    "turn_between",
-    "unit",
-]
-
 Quaternion = tuple[float, float, float, float]
 Triple = tuple[float, float, float]
 """Three components of a vector."""

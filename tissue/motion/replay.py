@@ -18,17 +18,6 @@ from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.drilling_recording import RECORDINGS, PoseFile, read_drilling
 from tissue.motion.motion import LONGEST_S, Motion
 
-__all__ = [
-    "COLUMNS",
-    "GivenPoses",
-    "ReplayPoses",
-    "poses_of_trace",
-    "read_poses",
-    "read_replay",
-    "write_poses",
-]
-
-
 FARTHEST_M = 10.0
 """Largest extent of a motion along a coordinate axis [m].
 

@@ -7,8 +7,6 @@ from meshes.base.errors import InputError
 from tissue.models.tissue_model import Response, ToolMotion
 from tissue.motion.motion import Events, FeedLimit, Motion, frame_along
 
-__all__ = ["PushAlongAxis", "SpeedSearch", "implicit_speed"]
-
 TOLERANCE = 0.01
 """Largest difference between the speed that led to a pose and the balanced speed at this pose.
 

@@ -11,8 +11,6 @@ from tissue.evaluation import ranking
 from tissue.evaluation.assessment_files import assessment_lines, write_assessment
 from tissue.objects.run import Run, assessed_run
 
-__all__ = ["Assessment", "Ranking", "assess", "rank"]
-
 
 @suggests_arguments
 class Assessment(engine.Assessment):

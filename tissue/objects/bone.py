@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from tissue.objects.bone_surface import Removed
     from tissue.objects.cutting import Cut, Structures
 
-__all__ = ["Bone", "constants_of"]
-
 SHOWN_VOXELS = 4e6
 """Largest number of voxels for drawing the surface of a bone given by a formula.
 

@@ -16,9 +16,6 @@ from tissue.system.offscreen import quiet_without_display
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["Removed", "bone_surface", "plot_surface", "removed_surface"]
-
-
 MERGED = 1e-3
 SEAM = 3.0
 """Largest distances between points that are merged, and between loops that are joined [voxels].

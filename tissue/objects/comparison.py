@@ -30,16 +30,6 @@ if TYPE_CHECKING:
 
     from tissue.objects.overlay import Over
 
-__all__ = [
-    "PLOTTED",
-    "Comparison",
-    "compare",
-    "shortened",
-    "split_formats",
-    "write_rows",
-]
-
-
 PLOTTED = (
     *(f"compare.{kind}" for kind in PICTURE_FORMATS),
     *(f"traces.{kind}" for kind in FORMATS),

@@ -38,18 +38,6 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-__all__ = [
-    "Cut",
-    "Structures",
-    "TimedPoses",
-    "clearance_of",
-    "cut_along",
-    "feed_along",
-    "poses_of",
-    "saved_table",
-    "times_of",
-    "warn_of",
-]
 NAME = re.compile("[a-z0-9][a-z0-9_]*")
 """Pattern of the names of structures. The key `keep_clear.names` of a scene has the same pattern.
 """

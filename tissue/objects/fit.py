@@ -21,8 +21,6 @@ from tissue.system.progress import Bar, reporting
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Fit", "fit"]
-
 
 @suggests_arguments
 class Fit:

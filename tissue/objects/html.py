@@ -13,18 +13,6 @@ from tissue.simulation.run import load_figures
 from tissue.simulation.run_folder import Summary
 from tissue.simulation.trace import Table
 
-__all__ = [
-    "curve",
-    "figures_of",
-    "figures_of_trace",
-    "folded",
-    "intervals_of",
-    "run_html",
-    "run_line",
-    "scrolled",
-    "table_html",
-]
-
 
 def table_html(
     rows: Iterable[Sequence[object]],

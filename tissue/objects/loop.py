@@ -60,8 +60,6 @@ if TYPE_CHECKING:
 
     from tissue.models.organ.model import LiverModel
 
-__all__ = ["Loop"]
-
 
 @suggests_arguments
 class Loop:

@@ -36,20 +36,6 @@ from tissue.simulation.builders.loop import LoopSettings, sampled
 from tissue.simulation.builders.parts import require_device, require_stated_rate
 from tissue.simulation.posed import Region
 
-__all__ = [
-    "LONGEST_S",
-    "JudgedDevice",
-    "LoopOptions",
-    "extent",
-    "fitted",
-    "judged_device",
-    "leave_out",
-    "made_from_of",
-    "region",
-    "start_above",
-    "tissue_of",
-]
-
 ARGUMENTS = {
     **{f"coupling.{key}": key for key in Coupling.model_fields},
     "output.low_pass_ms": "low_pass_ms",

@@ -11,8 +11,6 @@ from tissue.objects.trace import needed
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Material", "material", "material_names"]
-
 TABLES = ("cutting", "tooth", "soft", "needle")
 """Data files that hold materials."""
 CONFIDENCE = {"H": "high", "M": "medium", "L": "low"}

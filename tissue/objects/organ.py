@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from tissue.models.organ.soft_organ import SoftOrgan
     from tissue.simulation.builders.organ_made import MadeOrgan, OrganOptions
 
-__all__ = ["Organ"]
-
 SPEED_MM_S = 10.0
 """Default speed of a press [mm/s]; it has an effect only on an organ with relaxation."""
 TISSUE = (0.93, 0.78, 0.72)

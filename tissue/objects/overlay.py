@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from tissue.fitting.bands.band import Band
     from tissue.simulation.trace import Table
 
-__all__ = ["Curve", "Over", "chosen_over", "overlay"]
-
 Over = Literal["time", "depth"]
 MOST_NAMED = 12
 """Largest number of runs in a legend, which then has four lines above the panels."""

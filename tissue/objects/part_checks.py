@@ -13,15 +13,6 @@ from meshes.base.hints import nearest
 from meshes.base.text_tables import shown
 from tissue.scene.registry import CUTTERS, TABLES
 
-__all__ = [
-    "NAME",
-    "check_callable",
-    "check_name",
-    "check_parameters",
-    "check_profile",
-    "checked_numbers",
-]
-
 NAME = "[a-z0-9][a-z0-9_-]*"
 """Pattern of a part's name."""
 

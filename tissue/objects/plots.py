@@ -18,9 +18,6 @@ from tissue.simulation.trace import components
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["COLOURS", "Point", "new_panels", "plot_columns", "plot_figures"]
-
-
 FORCE_AND_TORQUE = components("model_force", "N") + components("model_torque", "Nm")
 COLOURS = (*COMPONENTS, "#CC79A7", "#E69F00", "#56B4E9", "0.1")
 PANEL_IN = 2.3

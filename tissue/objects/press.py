@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from tissue.models.organ.press import PressCurve
     from tissue.models.organ.soft_organ import SoftOrgan
 
-__all__ = ["MATTE", "Press", "new_plotter", "organ_around", "press_at", "shaded"]
-
 SLOPE_SHARE = 0.1
 """Share of the depth over which the stiffness is computed: the last 10 of 100 steps.
 """

@@ -47,9 +47,6 @@ if TYPE_CHECKING:
     from tissue.haptics.device.device import DeviceParameters
     from tissue.scene.anatomy import Part
 
-__all__ = ["register"]
-
-
 F = TypeVar("F")
 
 

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from tissue.evaluation.same_task import AssessedRun
     from tissue.fitting.bands.band import Band
 
-__all__ = ["Run", "assessed_run", "open_run", "report"]
-
 
 @suggests_arguments
 class Run(engine.Run):

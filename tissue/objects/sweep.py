@@ -35,8 +35,6 @@ from tissue.system.workers import finished
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Sweep", "SweptRun", "planned", "sweep"]
-
 FILES = ("sweep.csv", *(f"sweep.{kind}" for kind in PICTURE_FORMATS), *PLOTTED)
 """Files of a sweep in addition to its runs."""
 LONGEST_NAME = 24

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from tissue.models.organ.probe import ProbeShape
     from tissue.scene.tool import Probe
 
-__all__ = ["PressingTool", "ball", "flat_punch", "probe_from_file"]
-
 SIZES_MM = (0.5, 100.0)
 """Smallest and largest diameter of a probe in a scene [mm]."""
 

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-__all__ = ["Trace", "needed"]
-
 SHOWN_ROWS = 5
 """Number of rows that a notebook shows at the start and at the end of a trace."""
 

@@ -15,16 +15,6 @@ from meshes.base.arrays import Array, Flags
 from meshes.base.errors import InputError, require_positive, require_range
 from tissue.perception.laws import two_interval
 
-__all__ = [
-    "EDGE_MASS",
-    "MAGNITUDE_FORCES_N",
-    "AdaptiveThreshold",
-    "MagnitudePosterior",
-    "ThresholdPrior",
-    "comparisons",
-    "fit_magnitudes",
-]
-
 EDGE_MASS = 0.05
 """Largest accepted posterior mass in the outermost cells of the grid of Weber fractions.
 

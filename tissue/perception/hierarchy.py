@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from jax import Array as JaxArray
     from numpyro.distributions import Distribution
 
-__all__ = ["HYPER", "PopulationFit", "PopulationTrials", "fit_hierarchy"]
-
 Index = NDArray[np.intp]
 HYPER = (
     "log_alpha",

@@ -15,19 +15,6 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_range
 from tissue.perception.observer import Observer
 
-__all__ = [
-    "D_PRIME_75",
-    "ForceMap",
-    "Intensity",
-    "LogTable",
-    "Weber",
-    "correct_of_d_prime",
-    "intensity_of",
-    "two_interval",
-    "weber_of",
-    "with_lapse",
-]
-
 D_PRIME_75 = 0.9538725524089894
 """Sensitivity d' for 75 % right answers in two intervals: sqrt(2) Phi^-1(0.75)."""
 

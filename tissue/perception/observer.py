@@ -16,19 +16,6 @@ from meshes.base.text_tables import read_json
 from meshes.base.whole_file import package_version, require_new_file, require_version, write_text
 from tissue.materials.constants import constants
 
-__all__ = [
-    "PARAMETERS",
-    "REPORTED_N",
-    "Observer",
-    "Population",
-    "population",
-    "population_observer",
-    "read_observer",
-    "reference_observer",
-    "write_observer",
-]
-
-
 PARAMETERS = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
 """Names of an observer's parameters.
 

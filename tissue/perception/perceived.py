@@ -9,8 +9,6 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.perception.laws import D_PRIME_75, ForceMap, Weber
 
-__all__ = ["Deadband", "PerceivedForce", "Perception", "PerceptionMaker", "Sense", "held_back"]
-
 
 class Perception(Protocol):
     """Perception model that computes the force to play on the device for one observer.

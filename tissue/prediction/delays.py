@@ -19,16 +19,6 @@ from scipy.linalg.lapack import dposv
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 
-__all__ = [
-    "COORDINATES",
-    "DELAYS",
-    "HORIZON",
-    "PATH_DELAYS",
-    "DelayOperator",
-    "DelayPath",
-    "Moments",
-]
-
 DELAYS = (0, 1, 2, 3, 4, 6, 8, 11, 14, 18, 22, 32, 46, 64, 80)
 """Delays of the coordinates [ticks].
 

@@ -15,8 +15,6 @@ from meshes.base.errors import InputError, require_positive
 from tissue.prediction.predictor import Contact, Hold, Predictor, SeesContact
 from tissue.prediction.trained import Trained
 
-__all__ = ["Guarded", "GuardedMaker", "Judged", "Observes", "Outside", "copy_of"]
-
 Triple = tuple[float, float, float]
 BLEND = 10
 """Number of ticks in which the force fades from one predictor to the other."""

@@ -8,8 +8,6 @@ from meshes.base.arrays import Array
 from tissue.prediction.delays import DelayPath
 from tissue.prediction.predictor import Contact
 
-__all__ = ["Koopman"]
-
 LEAST_DEPTH_M = 2e-4
 """Smallest depth at which the stiffness of a contact is estimated [m].
 

@@ -12,8 +12,6 @@ from meshes.base.arrays import Array
 from tissue.prediction.delays import DelayPath
 from tissue.prediction.predictor import Contact
 
-__all__ = ["ContactSlope", "LookAhead"]
-
 NOISE_M = 1e-6
 """Deviation of a force from a linear law in a tick, divided by the coupling's stiffness [m].
 

@@ -6,8 +6,6 @@ from scipy.signal import savgol_coeffs
 from meshes.base.arrays import Array
 from tissue.prediction.delays import COORDINATES, HORIZON, DelayOperator, DelayPath, Moments
 
-__all__ = ["AdaptivePath"]
-
 MEMORY = 1000.0
 """Number of ticks after which the weight of a tick in the fit is 1/e."""
 PRIOR = 0.3

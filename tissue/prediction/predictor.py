@@ -10,16 +10,6 @@ import numpy as np
 
 from meshes.base.arrays import Array
 
-__all__ = [
-    "Contact",
-    "Hold",
-    "Kalman",
-    "Linear",
-    "Predictor",
-    "SeesContact",
-    "kalman_gains",
-]
-
 
 class Predictor(Protocol):
     """Predictor of the force on a device some ticks after the last observation.

@@ -18,15 +18,6 @@ from meshes.base.text_tables import read_json
 from meshes.base.whole_file import package_version, require_new_file, require_version, whole_file
 from tissue.prediction.delays import COORDINATES, DELAYS, HORIZON, DelayOperator, Moments
 
-__all__ = [
-    "FINE_STEP_M",
-    "VALIDATED_AT",
-    "Trained",
-    "general_operator",
-    "is_trained",
-    "shipped_file",
-]
-
 SHIPPED = Path(__file__).parent / "trained"
 """Folder of the predictors that are part of the package, one file for each scene."""
 VALIDATED_AT = 6

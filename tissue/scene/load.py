@@ -25,24 +25,6 @@ from tissue.scene.registry import CUTTERS, PERCEPTIONS, SCENES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 
-__all__ = [
-    "FORMAT",
-    "REPLACED_DEVICE",
-    "OldSceneWarning",
-    "changed",
-    "converted",
-    "full_key",
-    "library_names",
-    "load_scene",
-    "names_file",
-    "parse_override",
-    "parse_overrides",
-    "saved_text",
-    "scene_names",
-    "scene_table",
-    "scene_text",
-]
-
 FORMAT = 2
 """Version of the scene file format.
 

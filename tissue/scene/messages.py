@@ -19,8 +19,6 @@ from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import OR_NONE, Scene
 from tissue.scene.tool import Probe, Tool
 
-__all__ = ["choices_of", "entries", "error_of", "idle_keys"]
-
 BOUNDS = (("gt", "greater than"), ("ge", "at least"), ("lt", "below"), ("le", "at most"))
 SEE = "see `tissue scenes NAME`"
 Table = Mapping[str, object]

@@ -12,27 +12,6 @@ from typing import Any
 from tissue.materials.constants import constants, listed
 from tissue.scene.part import Part, Registry
 
-__all__ = [
-    "CUTTERS",
-    "CUTTING_MATERIALS",
-    "DEVICES",
-    "GROUPS",
-    "HANDS",
-    "NEEDLES",
-    "ORGAN_MATERIALS",
-    "PERCEPTIONS",
-    "PREDICTORS",
-    "PROBES",
-    "RENDERERS",
-    "SCENES",
-    "AnatomyEntry",
-    "CutterEntry",
-    "DeviceEntry",
-    "MotionEntry",
-    "PredictorEntry",
-    "ProbeEntry",
-]
-
 Factory = Callable[..., Any]
 
 

@@ -10,19 +10,6 @@ from meshes.base.errors import PRESENT, InputError
 from tissue.scene.names import ORGAN_MATERIALS
 from tissue.scene.part import FileName, Length_mm, Needs, OneOf, Part, Rule, Vector
 
-__all__ = [
-    "LAW_SHAPES",
-    "Held",
-    "IncisedAnatomy",
-    "LayersAnatomy",
-    "LiverAnatomy",
-    "LiverFile",
-    "Organ",
-    "SlabAnatomy",
-    "SoftAnatomy",
-    "WithNodule",
-]
-
 LAYERS = ("capsule", "parenchyma")
 """Layers that a needle passes in any scene with a needle."""
 

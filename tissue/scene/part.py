@@ -30,26 +30,6 @@ if TYPE_CHECKING:
     from pydantic import GetCoreSchemaHandler, ValidatorFunctionWrapHandler
     from pydantic_core import CoreSchema
 
-__all__ = [
-    "LAYERS",
-    "LONGEST_PATH",
-    "READ_BACK",
-    "SURFACE_SUFFIXES",
-    "ByKind",
-    "FileName",
-    "Idle",
-    "Length_mm",
-    "Needs",
-    "OneOf",
-    "Part",
-    "Registry",
-    "Rule",
-    "Vector",
-    "is_file_key",
-    "is_given",
-    "kinds_of",
-]
-
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 """File name suffixes of surface files.
 

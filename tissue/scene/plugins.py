@@ -7,14 +7,6 @@ import warnings
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
-__all__ = [
-    "OFFERED",
-    "PluginWarning",
-    "ask_packages",
-    "offered_names",
-    "refusal",
-]
-
 OFFERED = {
     f"tissue.{kind}s": kind
     for kind in (

@@ -20,15 +20,6 @@ from tissue.scene.load import scene_table, scene_text
 from tissue.scene.plugins import OFFERED, ask_packages
 from tissue.scene.scene import Scene
 
-__all__ = [
-    "anatomy_of",
-    "folders_of",
-    "save_site",
-    "scene_for_editors",
-    "schema_text",
-    "with_site",
-]
-
 
 def _texts_of(scene: Scene) -> list[str]:
     """Return all texts of a scene except its name."""

@@ -13,20 +13,6 @@ from meshes.base.errors import InputError
 from tissue.scene.names import CUTTERS, NEEDLES, PROBES
 from tissue.scene.part import FileName, Needs, OneOf, Part, Vector
 
-__all__ = [
-    "Blade",
-    "Motion",
-    "Needle",
-    "PathMotion",
-    "Probe",
-    "ReplayMotion",
-    "ThrustMotion",
-    "Tool",
-    "probe_part",
-    "tool_of",
-    "tool_parts",
-]
-
 CUTTER_KEYS: dict[str, Any] = {
     "length_mm": (
         float,

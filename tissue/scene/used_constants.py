@@ -10,8 +10,6 @@ from tissue.scene.organ import IncisedAnatomy, LayersAnatomy, SoftAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 
-__all__ = ["Used", "used_constants", "used_of_cutting", "used_of_device"]
-
 Part = tuple[str, str, tuple[str, ...] | None]
 """Table, material, and names of the used constants; None for all constants of the material."""
 

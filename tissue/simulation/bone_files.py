@@ -42,17 +42,6 @@ from tissue.simulation.vtk_files import (
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = [
-    "carved_surface",
-    "carving_ticks",
-    "read_voxels",
-    "saved_voxels",
-    "voxel_image",
-    "write_bone",
-    "write_carving",
-]
-
-
 UNIT_NAMES = {1.0: "mm", 10.0: "cm", 1000.0: "m"}
 """Names of length units in NRRD, keyed by the length of the unit [mm]."""
 MOST_FRAMES = 40

@@ -17,27 +17,6 @@ if TYPE_CHECKING:
     from tissue.scene.scene import Scene
     from tissue.simulation.builders.parts import Parts
 
-__all__ = [
-    "HALF",
-    "Box",
-    "CarvedRun",
-    "CarvedSurface",
-    "DepthMap",
-    "block_means",
-    "bone_surface",
-    "changed_box",
-    "coarse_volume",
-    "cut_faces",
-    "cut_out",
-    "depth_map",
-    "facing",
-    "smooth_normals",
-    "tool_axes",
-    "triangle_means",
-    "with_depth",
-    "with_layers",
-]
-
 INWARD_VOXELS = 0.75
 """Depth below the surface at which the layer of a triangle is read [voxels].
 

@@ -21,16 +21,6 @@ from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.trace import Table
 
-__all__ = [
-    "BreakThrough",
-    "break_throughs",
-    "largest_rise",
-    "path_distance_mm",
-    "path_note",
-    "region_note",
-    "shortfalls",
-]
-
 MOSTLY = 0.5
 """Share of the caries within reach that must be removed.
 

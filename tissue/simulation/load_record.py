@@ -45,9 +45,6 @@ from tissue.simulation.loop import Loop, undisturbed
 from tissue.simulation.simulate import builder_of, tick_count
 from tissue.simulation.trace import Table
 
-__all__ = ["SENSITIVITIES", "LoadRecord", "record_loads", "why_not_linear"]
-
-
 SENSITIVITIES = (
     *CuttingCoefficients.CHIP,
     *CuttingCoefficients.EDGE,

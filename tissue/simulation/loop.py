@@ -31,9 +31,6 @@ from tissue.simulation.builders.parts import Parts
 from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayout, load_columns
 from tissue.system.blas_threads import one_blas_thread
 
-__all__ = ["Loop", "PoseLog", "Stepper", "undisturbed"]
-
-
 SWITCH_S = 5e-5
 """Longest time for which a background thread may keep the interpreter from the ticks [s].
 

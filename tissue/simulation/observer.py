@@ -17,15 +17,6 @@ from tissue.simulation.simulate import RunObserver
 from tissue.simulation.trace import NO_LAYER
 from tissue.system.priorities import TickPriority
 
-__all__ = [
-    "BEHIND_S",
-    "LOOK_TICKS",
-    "OnTick",
-    "Paced",
-    "Prioritised",
-    "TickRow",
-    "WallClock",
-]
 LOOK_TICKS = 200
 """Interval between two checks of a live run [ticks].
 

@@ -18,8 +18,6 @@ from tissue.simulation import loop as engine
 from tissue.simulation.builders.parts import Parts, motion_of
 from tissue.simulation.simulate import builder_of
 
-__all__ = ["PosedSession", "Region", "Snapshot", "posed_parts", "scene_arguments"]
-
 ACROSS = 5
 """Number of copies of a path in each direction across the tool's axis, chosen by judgement."""
 LEFT_REGION = "the tool left the region in which the tissue is prepared"

@@ -16,9 +16,6 @@ from tissue.scene.tool import Tool
 from tissue.simulation.bone_surface import CarvedRun
 from tissue.simulation.trace import RECORDING, write_table
 
-__all__ = ["write_formats", "write_recording"]
-
-
 DRILL = "mastoidectomy_drill"
 ANATOMY = "anatomy_object_name"
 """Default name of the anatomy in the recorder's files; `DRILL` is the default name of the drill.

@@ -42,17 +42,6 @@ from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S, build
 from tissue.simulation.trace import LEAST_LOAD, Table
 
-__all__ = [
-    "MotorForces",
-    "ideal_force_N",
-    "ideal_scene",
-    "motor_forces",
-    "played_force_N",
-    "rendered_force_N",
-    "stretch_force_N",
-]
-
-
 PROMPT: dict[str, object] = {
     "renderer": "proxy",
     "prediction": "none",

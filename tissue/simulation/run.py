@@ -41,9 +41,6 @@ if TYPE_CHECKING:
 
     from tissue.models.bone.carver import CarvingReplay
 
-__all__ = ["DEADLINE_US", "Run", "load_figures"]
-
-
 DEADLINE_US = 1000.0
 """Duration of a tick above which it misses its deadline [us]."""
 Part = TypeVar("Part")

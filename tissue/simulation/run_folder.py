@@ -31,23 +31,6 @@ from tissue.system.owned_folder import (
 )
 from tissue.system.stopping import Terminated
 
-__all__ = [
-    "FORMAT",
-    "PICTURE_FORMATS",
-    "RunFolder",
-    "SavedRun",
-    "Summary",
-    "added_to_run",
-    "copy_run",
-    "named_as_run_files",
-    "picture_format",
-    "read_summary",
-    "run_file_names",
-    "saved_placement",
-    "summary_of",
-]
-
-
 Summary = dict[str, Any]
 """Contents of ``summary.json``; see docs/files.md."""
 FORMAT = 1

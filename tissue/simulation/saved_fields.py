@@ -15,16 +15,6 @@ from tissue.simulation.vtk_files import mesh_in_scene, read_collection
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = [
-    "SavedFields",
-    "field_label",
-    "field_limits",
-    "field_names",
-    "field_values",
-    "require_whole",
-]
-
-
 PEAK = 99.8
 """Percentile of a cell field at the upper end of the colour scale.
 

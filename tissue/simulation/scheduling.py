@@ -12,8 +12,6 @@ from kernels.cores import core_count
 from kernels.launcher import launch_counts
 from tissue.models.tissue_model import SchedulesBackground, TissueModel
 
-__all__ = ["MachineGaps", "Scheduling", "spin", "spin_time_s"]
-
 SPUN_S = 0.3
 SPUN_SHARE = 0.1
 """Largest ratio of the time for which the clock is polled to the simulated time.

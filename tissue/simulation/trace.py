@@ -19,24 +19,6 @@ from meshes.base.file_limits import require_regular
 from meshes.base.text_tables import number_in, require_distinct_columns
 from meshes.base.whole_file import claim, whole_file
 
-__all__ = [
-    "FORMATS",
-    "LEAST_LOAD",
-    "NO_LAYER",
-    "RECORDING",
-    "TIMING_COLUMNS",
-    "Table",
-    "TraceLayout",
-    "TraceWriter",
-    "check_format",
-    "components",
-    "load_columns",
-    "read_table",
-    "read_trace",
-    "write_columns",
-    "write_table",
-]
-
 FLUSH_EVERY_S = 0.1
 """Longest time between two flushes [s].
 

@@ -24,19 +24,6 @@ if TYPE_CHECKING:
     from vtkmodules.vtkIOGeometry import vtkSTLWriter
     from vtkmodules.vtkIOXML import vtkXMLWriter
 
-__all__ = [
-    "frame_mesh",
-    "image_in_file",
-    "image_in_scene",
-    "mesh_in_file",
-    "mesh_in_scene",
-    "read_collection",
-    "write_collection",
-    "write_fields",
-    "write_vtk",
-    "write_vtk_xml",
-]
-
 Mesh = TypeVar("Mesh", bound="pyvista.PointSet")
 CELL_TYPES = {4: 10, 8: 12}
 """VTK cell types of tetrahedron and hexahedron, keyed by the number of nodes of a cell."""

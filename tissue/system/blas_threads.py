@@ -5,8 +5,6 @@ from functools import lru_cache
 
 from threadpoolctl import ThreadpoolController
 
-__all__ = ["one_blas_thread"]
-
 
 def one_blas_thread() -> AbstractContextManager[object]:
     """Return a context manager in which NumPy and SciPy use one thread for linear algebra.

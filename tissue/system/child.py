@@ -21,19 +21,6 @@ from typing import Any, TextIO
 from meshes.base.errors import InputError
 from meshes.base.isolated_parser import kill_with_parent, python_command, start_code
 
-__all__ = [
-    "CHECK_S",
-    "ONE_THREAD",
-    "HangDetector",
-    "Helper",
-    "HelperLostError",
-    "await_ready",
-    "child_command",
-    "end_with",
-    "own_process",
-    "process_module",
-]
-
 START = start_code("tissue.system.child", "_main")
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """Environment variables that limit linear algebra to one thread.

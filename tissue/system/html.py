@@ -5,8 +5,6 @@ from collections.abc import Callable, Iterable, Sequence
 from hashlib import sha256
 from html import escape
 
-__all__ = ["html_list", "html_page", "html_picture", "script_element"]
-
 STYLE = """
 :root { color-scheme: light dark; --ink: #1b1b1b; --paper: #fdfdfb; --soft: #666;
   --line: #ccc; --box: #f3f3ef; }

@@ -20,15 +20,6 @@ from meshes.base.errors import InputError
 from tissue.system.child import CHECK_S, HangDetector, child_command
 from tissue.system.stopping import returned_within
 
-__all__ = [
-    "REMEDY",
-    "await_display",
-    "display_problem",
-    "draw_apart",
-    "drawing_environments",
-    "quiet_without_display",
-]
-
 REMEDY = (
     "install libegl1 and libgl1-mesa-dri (Debian, Ubuntu) or mesa-libEGL and mesa-dri-drivers "
     "(Fedora)"

@@ -25,19 +25,6 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-__all__ = [
-    "LOCK",
-    "MARKER",
-    "OutputLock",
-    "OwnedFolder",
-    "anything_claimed",
-    "identity",
-    "is_alive",
-    "listed_files",
-    "require_folder",
-    "require_listed",
-]
-
 MARKER = ".tissue.json"
 """Name of the marker file. It lists the files that tissue wrote into a folder."""
 FORMAT = "tissue output folder"

@@ -11,12 +11,6 @@ from functools import cache
 
 from kernels.cores import allowed_cores, cores_without, current_core
 
-__all__ = [
-    "BackgroundPriority",
-    "TickPriority",
-    "may_return_from_idle",
-]
-
 REALTIME = 20
 """Real-time priority on Linux, in the range 1 to 99; kernel threads for devices have 50."""
 NICE = -10

@@ -10,9 +10,6 @@ from typing import Any
 from meshes.base.progress import Progress, silent
 from meshes.base.text_tables import visible
 
-__all__ = ["Bar", "Remaining", "duration_text", "in_notebook", "progress", "reporting"]
-
-
 Bar = Progress | bool | None
 """Type of the argument ``progress``: a function, True for a bar, False for no bar, or None.
 

@@ -11,16 +11,6 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import NoReturn
 
-__all__ = [
-    "STOPS",
-    "Terminated",
-    "end_at_once",
-    "interrupt_is_free",
-    "returned_within",
-    "signals_handled",
-    "terminated_as_exception",
-]
-
 STOPS = tuple(
     getattr(signal, name)
     for name in ("SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK")

@@ -32,8 +32,6 @@ from meshes.base.progress import Progress
 from meshes.base.whole_file import package_version
 from tissue.system.child import CHECK_S, ONE_THREAD, HangDetector, end_with
 
-__all__ = ["executor", "finished", "first_done", "worker_pool"]
-
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 

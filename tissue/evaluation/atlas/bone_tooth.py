@@ -35,8 +35,6 @@ from tissue.models.tooth.body import INNER_STRENGTH, LEAST_FILL, ParticleBody
 from tissue.models.tooth.grid import HexGrid, NodeSupports, ParticleSet
 from tissue.motion.thrust import implicit_speed
 
-__all__ = ["Contrast", "CutCells", "ExplicitCutting"]
-
 THRUST_N = 20.0
 """Thrust in excess of the edge force [N].
 

@@ -35,18 +35,6 @@ from tissue.scene.scene import Scene
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.simulate import RunObserver, simulate
 
-__all__ = [
-    "OBLIQUE",
-    "Course",
-    "DevicePath",
-    "HeldTool",
-    "amplification",
-    "force_error",
-    "in_a_hand",
-    "recorded_path",
-    "replayed",
-]
-
 OBLIQUE = np.array([0.48, -0.36, 0.8])
 """Unit direction of a shift. It is not parallel to any axis of a scene."""
 LIGHT = 1e-4

@@ -34,8 +34,6 @@ from tissue.fem.solvers.held_body import HeldBody
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
-__all__ = ["BadTetrahedra", "LargeRotation", "Locking"]
-
 LENGTH = 10.0
 YOUNG = 1000.0
 """Young's modulus of the cantilever bar [Pa].

@@ -31,30 +31,6 @@ from meshes.base.whole_file import whole_file, write_columns, write_text
 from tissue.system.html import html_page, html_picture
 from tissue.system.owned_folder import OwnedFolder
 
-__all__ = [
-    "ENGINE",
-    "FAILING",
-    "GREEN",
-    "GREY",
-    "ORANGE",
-    "THEORY",
-    "Conduct",
-    "Curve",
-    "Data",
-    "Page",
-    "Table",
-    "Verdict",
-    "boundary",
-    "chosen_pages",
-    "error_of",
-    "log_slope",
-    "panel",
-    "picture",
-    "shade",
-    "sweep",
-    "write_atlas",
-]
-
 Table = dict[str, Array]
 """Columns of equal length by name. The name of a column ends with its unit."""
 Data = dict[str, Table]

@@ -34,8 +34,6 @@ from tissue.prediction.predictor import Contact, Hold, Kalman, Linear, Predictor
 from tissue.prediction.trained import Trained
 from tissue.scene.registry import PREDICTORS
 
-__all__ = ["Horizon", "TrainedElsewhere"]
-
 SIX_DOF = device_parameters("six-dof")
 HOME_N_M = 800.0
 """Stiffness of the wall in the training runs [N/m]."""

@@ -30,8 +30,6 @@ from tissue.haptics.renderer import renderer
 from tissue.haptics.rigid_wall import press_wall
 from tissue.models.tissue_model import TICK_S
 
-__all__ = ["LostSamples", "WildInput"]
-
 OMNI = device_parameters("omni")
 STIFFNESS_N_M = 1500.0
 """Stiffness of the virtual wall [N/m].

@@ -40,8 +40,6 @@ from tissue.haptics.loop.stability_map import measured_critical_N_m
 from tissue.haptics.proxy.proxy import Box, ContactField, Proxy, ToolShell
 from tissue.models.tissue_model import TICK_S
 
-__all__ = ["Quantisation", "ThinWalls", "WallMap"]
-
 LOOP = in_hands(device_parameters("six-dof").loop(1.0), [hand_parameters("expert").grip[:3]])[0]
 """Loop of a virtual wall and a device with six degrees of freedom in an expert's hand."""
 AXES = {

@@ -38,18 +38,6 @@ from tissue.scene.coupling import Hardware
 from tissue.scene.registry import DEVICES, GROUPS
 from tissue.simulation.builders.parts import new_device
 
-__all__ = [
-    "Answer",
-    "Person",
-    "StoppedError",
-    "begin",
-    "play",
-    "questioner",
-    "simulated_answers",
-    "simulated_observer",
-]
-
-
 Answer = Callable[[Comparison | Magnitude, int], float]
 """Function that returns the answer to a trial, given the trial and its number in the session."""
 DIRECTION = np.array([0.0, 0.0, -1.0])

@@ -31,19 +31,6 @@ from tissue.perception.adaptive import MAGNITUDE_FORCES_N, fit_magnitudes
 from tissue.perception.laws import D_PRIME_75, ForceMap, Intensity, intensity_of
 from tissue.perception.observer import population, reference_observer
 
-__all__ = [
-    "Command",
-    "SimulatedObservers",
-    "Stimulus",
-    "calibrated_commands",
-    "chance_right",
-    "draw_observers",
-    "gain_of",
-    "sensitivity",
-    "share_right",
-]
-
-
 RESAMPLES = 2000
 """Number of resampled groups of people from which a 95 % interval is computed.
 

@@ -21,8 +21,6 @@ from tissue.perception.laws import two_interval
 from tissue.perception.observer import Observer, write_observer
 from tissue.show.figures.figure import figure, save
 
-__all__ = ["draw_session", "fit_population", "new_person"]
-
 
 def pooled_trials(sessions: list[Session]) -> PopulationTrials:
     """Return the trials of many sessions, joined into arrays."""

@@ -26,8 +26,6 @@ from tissue.perception.adaptive import (
 from tissue.perception.laws import Weber
 from tissue.perception.observer import REPORTED_N, Observer
 
-__all__ = ["Comparison", "Magnitude", "Plan", "Session", "TrialLog", "log_path", "read_log"]
-
 
 @suggests_arguments
 @dataclass(frozen=True, kw_only=True)

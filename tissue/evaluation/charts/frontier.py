@@ -31,16 +31,6 @@ from tissue.scene.coupling import Fidelity
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 
-__all__ = [
-    "SAFETY",
-    "Frontier",
-    "choose",
-    "frontier_of",
-    "undominated",
-    "with_fidelity",
-    "write_measured",
-]
-
 OFFERED_US = 800.0
 """Largest 99th percentile of the time of a tick [us] at which finer settings are still measured.
 

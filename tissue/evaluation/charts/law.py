@@ -15,9 +15,6 @@ from tissue.scene.tool import Probe
 from tissue.simulation.builders.organ import hindrance
 from tissue.simulation.simulate import simulate
 
-__all__ = ["linear_error", "with_law"]
-
-
 LAW = "neo-hookean"
 """Default law that replaces the linear law.
 

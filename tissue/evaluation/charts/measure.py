@@ -35,18 +35,6 @@ from tissue.simulation.reference_force import ideal_force_N, played_force_N
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S, simulate
 
-__all__ = [
-    "SETTLED",
-    "Measured",
-    "excerpt",
-    "force_and_reference_N",
-    "measure",
-    "of_model",
-    "reference_gap",
-    "reference_words",
-    "short_of",
-]
-
 
 def of_model(scene: Scene) -> Scene:
     """Return the scene without its device, so that the scripted motion moves the tool."""

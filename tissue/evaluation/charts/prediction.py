@@ -25,16 +25,6 @@ from tissue.show.figures.figure import figure, plain_numbers, save
 from tissue.simulation.builders.prediction import trained_predictor
 from tissue.system.owned_folder import OwnedFolder
 
-__all__ = [
-    "PredictorComparison",
-    "chart_prediction",
-    "comparison_lines",
-    "draw_tasks",
-    "looks",
-    "predictable",
-]
-
-
 FIRST_SEED = 10_000
 """First seed of the unseen runs. Training uses the seeds 0, 1, 2, ..."""
 SHARES = (0.7, 1.3)

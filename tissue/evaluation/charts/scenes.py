@@ -20,8 +20,6 @@ from tissue.scene.tool import Tool
 from tissue.show.figures.figure import figure, plain_numbers, save
 from tissue.system.owned_folder import OwnedFolder
 
-__all__ = ["chart_lines", "chart_scenes", "charted", "notes_before"]
-
 
 def chart_scenes(
     names: Sequence[str],

@@ -27,28 +27,6 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, Probe, Tool
 from tissue.simulation.builders.cutting import cutter_of
 
-__all__ = [
-    "PLACES",
-    "Changes",
-    "Setting",
-    "by_hand",
-    "code_sha256",
-    "edge_mm",
-    "finest",
-    "force_only",
-    "grids",
-    "machine",
-    "moved",
-    "placed",
-    "refined",
-    "scene_text",
-    "settings_of",
-    "shares",
-    "simpler",
-    "sources",
-    "untrained",
-]
-
 LATENCY_MS = 4
 """Latency of the loops if the scene does not set a latency [ms].
 

@@ -37,8 +37,6 @@ from tissue.cutters.profile import Arc, Piece
 from tissue.evaluation.reference.path import ToolPath, convex_parts
 from tissue.materials.constants import CuttingCoefficients, effective_chip
 
-__all__ = ["Resolution", "Solid", "wrench_at"]
-
 GAUSS = 0.5 / 3.0**0.5
 """Distance of the two Gauss points from the middle of an interval of length 1."""
 TOUCHING_M = 1e-11

@@ -24,19 +24,6 @@ from tissue.simulation.builders.parts import motion_of
 from tissue.simulation.builders.voxels import is_procedural, solid_of
 from tissue.simulation.trace import Table
 
-__all__ = [
-    "Order",
-    "ReferenceForce",
-    "force_on_path",
-    "grid_index",
-    "has_exact_geometry",
-    "means_over_50_ms",
-    "path_of_trace",
-    "reference_force",
-    "solid_of_scene",
-]
-
-
 COARSEST_TICKS = 32
 """Largest number of ticks between two evaluations of the reference force.
 

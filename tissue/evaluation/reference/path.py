@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from meshes.base.arrays import Array
 from tissue.cutters.profile import Arc, Line, Piece, Profile
 
-__all__ = ["ToolPath", "convex_parts"]
-
 GOLDEN = 0.6180339887498949
 RESOLUTION_M = 1e-12
 """Precision with which the nearest position on a path is found [m]."""

@@ -35,15 +35,6 @@ from tissue.evaluation.statistics.strata import (
 )
 from tissue.evaluation.statistics.trials import Cells, TrialTable
 
-__all__ = [
-    "MetricComparison",
-    "across_tasks",
-    "compare",
-    "corrected",
-    "manova",
-    "tukey_tests",
-]
-
 ROUNDING = 1e-12
 """Largest variation among users, divided by the largest value, that counts as rounding error."""
 

@@ -19,8 +19,6 @@ from tissue.evaluation.statistics.strata import (
 )
 from tissue.evaluation.statistics.trials import Cells
 
-__all__ = ["QUESTIONS", "Power", "redrawn_power", "rejection_rates"]
-
 POPULATIONS = 2_000
 """Number of simulated populations.
 

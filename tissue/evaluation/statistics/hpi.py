@@ -13,13 +13,6 @@ from meshes.base.errors import InputError
 from tissue.evaluation.statistics.hypothesis_test import LEVEL, Assumption, Effect
 from tissue.evaluation.statistics.trials import TrialTable
 
-__all__ = [
-    "Index",
-    "composite_index",
-    "drawn_users",
-    "weights_of",
-]
-
 
 def drawn_users(groups: Ints, count: int, rng: np.random.Generator) -> Ints:
     """Draw users of each group with replacement.

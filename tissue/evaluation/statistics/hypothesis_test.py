@@ -16,20 +16,6 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.extras import install_command
 
-__all__ = [
-    "ALPHA",
-    "LEVEL",
-    "Assumption",
-    "Effect",
-    "HypothesisTest",
-    "cohens_d",
-    "format_p",
-    "normal_residuals",
-    "partial_eta_squared",
-    "require_statsmodels",
-    "symmetric_residuals",
-]
-
 ALPHA = 0.05
 """Significance level: probability that a test rejects if there is no effect."""
 LEVEL = 0.95

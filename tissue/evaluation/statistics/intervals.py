@@ -7,8 +7,6 @@ import numpy as np
 
 from meshes.base.arrays import Array
 
-__all__ = ["Interval", "mean_interval", "signed_interval"]
-
 
 class Interval(NamedTuple):
     """Mean over independent units, and the ends of its 95 % interval."""

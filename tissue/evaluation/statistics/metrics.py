@@ -11,22 +11,6 @@ from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
 from meshes.paths.toolpath import path_distance
 
-__all__ = [
-    "acceleration_change_m_s2",
-    "aligned_rows",
-    "completion_time_s",
-    "deviation_mm",
-    "excess_error",
-    "excess_travel_mm",
-    "followed_ticks",
-    "force_error",
-    "force_mae_N",
-    "force_rms_N",
-    "latency_ms",
-    "overshoot_mm",
-    "spectral_arc_length",
-]
-
 SPARC_CUTOFF_HZ = 10.0
 """Highest frequency of a movement that SPARC uses (Balasubramanian et al. 2015).
 

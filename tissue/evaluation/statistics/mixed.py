@@ -27,8 +27,6 @@ from tissue.evaluation.statistics.trials import TrialTable
 if TYPE_CHECKING:
     from statsmodels.regression.mixed_linear_model import MixedLMResults
 
-__all__ = ["Posterior", "mixed_model", "regression"]
-
 ITERATIONS = 400
 """Largest number of iterations of a fit. A fit that needs more counts as not converged.
 

@@ -9,8 +9,6 @@ from meshes.base.errors import require_range
 from tissue.evaluation.statistics.sign_flips import largest_squared_t
 from tissue.evaluation.statistics.strata import pair_differences
 
-__all__ = ["EFFECT", "POPULATIONS", "POWER", "effect_names", "planned_people", "planned_power"]
-
 EFFECT = 1.0
 """Smallest effect of interest [standard deviations].
 

@@ -15,14 +15,6 @@ from meshes.base.arrays import Array, Ints
 from tissue.evaluation.statistics.hypothesis_test import ALPHA
 from tissue.evaluation.statistics.strata import effect_scores, group_means, pair_differences
 
-__all__ = [
-    "SignTest",
-    "largest_squared_t",
-    "pair_scores",
-    "sign_test",
-    "sign_test_p",
-]
-
 FLIPS = 19_999
 """Number of random sign flips of a test.
 

@@ -14,18 +14,6 @@ from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from tissue.evaluation.statistics.hypothesis_test import HypothesisTest
 
-__all__ = [
-    "Pillai",
-    "Strata",
-    "effect_scores",
-    "group_means",
-    "multivariate",
-    "pair_differences",
-    "pillai",
-    "strata",
-    "tukey",
-]
-
 
 @dataclass(frozen=True)
 class Strata:

@@ -17,8 +17,6 @@ from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
 from meshes.base.whole_file import write_rows
 
-__all__ = ["Cells", "TrialTable"]
-
 Text = NDArray[np.str_]
 KEY = ("task", "group", "user", "trial", "method")
 KEYS = (*KEY, "seed", "failure")

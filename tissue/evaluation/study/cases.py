@@ -29,8 +29,6 @@ from tissue.haptics.loop.filters import ForceRange
 from tissue.materials.constants import constants
 from tissue.scene.registry import GROUPS
 
-__all__ = ["case_sections", "median_interval", "travel_by_people"]
-
 TEETH = ("carious", "sound")
 """Names of the two specimens of the drilling task.
 

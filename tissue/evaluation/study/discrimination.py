@@ -36,17 +36,6 @@ from tissue.evaluation.study.section import (
 )
 from tissue.scene.registry import GROUPS
 
-__all__ = [
-    "PEOPLE",
-    "Felt",
-    "FeltPair",
-    "case_table",
-    "changes_of",
-    "discrimination_section",
-    "sides",
-    "specimens",
-]
-
 PEOPLE = 200
 """Number of simulated people per group who compare forces.
 

@@ -10,8 +10,6 @@ from tissue.scene.load import changed, load_scene
 from tissue.simulation.simulate import simulate
 from tissue.system.progress import duration_text
 
-__all__ = ["COSTS", "cost", "expected_text", "probe_s"]
-
 COSTS = {"T1": 10.0, "T2": 5.1, "T3": 22.0, "needle": 7.6, "reaming": 18.0, "drilling": 12.0}
 """Processor time of a trial with one method, divided by the time that `probe_s` returns, by task.
 

@@ -26,12 +26,6 @@ from tissue.evaluation.study.section import (
 )
 from tissue.show.figures.figure import plain_numbers
 
-__all__ = [
-    "force_section",
-    "latency_section",
-    "task_section",
-]
-
 RATIOS = {
     "ratio_error": "error of ratios / %",
     "ratio_floor": "least error of ratios / %",

@@ -33,9 +33,6 @@ from tissue.evaluation.study.trial import Row, Trial, error_sentence, run_trial,
 from tissue.system.owned_folder import LOCK, MARKER, OwnedFolder, require_listed
 from tissue.system.workers import finished
 
-__all__ = ["StudyFolder", "run_study"]
-
-
 FORMAT = 2
 """Version of the format of a study folder."""
 PLAN = "study.json"

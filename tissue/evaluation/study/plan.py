@@ -10,21 +10,6 @@ from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import unknown_name
 from tissue.scene.registry import GROUPS, PREDICTORS
 
-__all__ = [
-    "COMPARED",
-    "DIRECTIONS",
-    "LATENCY_MS",
-    "METHODS",
-    "PERSONAL",
-    "TASKS",
-    "USERS",
-    "Plan",
-    "Task",
-    "TrialKey",
-    "method_settings",
-    "seeded",
-]
-
 COMPARED = ("force_error", "ratio_error", "position_error_mm")
 """Metrics that are tested, each alone and all together."""
 DIRECTIONS = {

@@ -49,8 +49,6 @@ from tissue.simulation.builders.parts import Parts
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S, RunObserver, simulate
 
-__all__ = ["NOTICED", "RATE_N_S", "pierce"]
-
 RATE_N_S = 1.0
 """Rate of increase of the pushing force [N/s].
 

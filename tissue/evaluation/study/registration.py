@@ -36,19 +36,6 @@ from tissue.evaluation.study.plan import (
     seeded,
 )
 
-__all__ = [
-    "PLAN_FILE",
-    "Registration",
-    "content_sha256",
-    "file_sha256",
-    "plan_text",
-    "planned_tests",
-    "register",
-    "registered",
-    "require_unchanged",
-]
-
-
 PLAN_FILE = "plan.toml"
 Registration = dict[str, str | int]
 """Registered plan.

@@ -37,9 +37,6 @@ from tissue.evaluation.study.trial import (
 from tissue.system.html import html_page, html_picture
 from tissue.system.owned_folder import OwnedFolder
 
-__all__ = ["found_section", "registration_section", "sections_of", "write_report"]
-
-
 WIDE = ".wide { overflow-x: auto; } .wide td { overflow-wrap: break-word; }"
 HEADLINES = ("registration", "force", "discrimination", "case-needle", "latency")
 """Names of the sections whose main findings are listed first in the report, in this order."""

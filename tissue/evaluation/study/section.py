@@ -16,30 +16,6 @@ from tissue.evaluation.statistics.intervals import Interval, signed_interval
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.plan import METHODS, TASKS
 
-__all__ = [
-    "CASES",
-    "CHOSEN_AFTER",
-    "COLOURS",
-    "FORCE_ERROR",
-    "POSITION_ERROR_MM",
-    "PRINTED",
-    "SOURCE",
-    "Figure",
-    "Section",
-    "against",
-    "colours_of",
-    "drawing",
-    "grouped_points",
-    "image",
-    "interval_by_users",
-    "legend",
-    "methods_of",
-    "parts_of",
-    "published",
-    "spread",
-    "tasks_of",
-]
-
 SOURCE = (
     "A Koopman-Bayesian Framework for High-Fidelity, Perceptually Optimized Haptic Surgical "
     "Simulation, N = 900 trials (3 tasks x 3 expertise groups x 100)"

@@ -24,8 +24,6 @@ from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.plan import COMPARED, DIRECTIONS, USERS
 from tissue.evaluation.study.section import Section, drawing, image, methods_of, tasks_of
 
-__all__ = ["statistics_sections", "tests_sections"]
-
 LOOSE = 0.06
 """Rate of false alarms above which the report calls a test with a level of 5 % too liberal.
 

@@ -37,19 +37,6 @@ from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.builders.loop import judged_loop, loop_settings
 from tissue.simulation.simulate import simulate
 
-__all__ = [
-    "NUMBERS",
-    "PACE_SPREAD",
-    "WITHIN_SPREAD",
-    "Row",
-    "Trial",
-    "error_sentence",
-    "failures_of",
-    "run_trial",
-    "trial_scene",
-    "trial_seed",
-]
-
 Row = dict[str, str | float]
 """Row of a table: the name of a method with its metrics, or with the reason of its failure."""
 

@@ -16,8 +16,6 @@ from tissue.simulation.reference_force import ideal_force_N, motor_forces
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S
 
-__all__ = ["intensity_ratios", "measured"]
-
 ARRIVED_MM = 2.0
 """Largest distance of the device from the end of the path at which a task counts as done [mm].
 

@@ -25,8 +25,6 @@ from meshes.base.errors import InputError
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import ColumnSolver, HeldBody, components_of
 
-__all__ = ["SCHUR_UNKNOWNS", "LazyCompliance", "reduced_compliance_m_N", "surface_compliance_m_N"]
-
 LIMIT_BYTES = 2_000_000_000
 """Largest allowed size of a dense matrix [bytes].
 

@@ -20,9 +20,6 @@ from tissue.fem.solvers.held_body import HeldBody, components_of, pointwise_grap
 from tissue.fem.solvers.multifrontal import Multifrontal
 from tissue.system.blas_threads import one_blas_thread
 
-__all__ = ["DirectSolver", "dissected"]
-
-
 LEVELS = 10
 """Number of halvings of the box for the Morton curve: 1024 steps along a side."""
 LEAF = 32

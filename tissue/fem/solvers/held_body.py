@@ -12,16 +12,6 @@ from scipy.sparse.csgraph import connected_components
 from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
 
-__all__ = [
-    "ColumnSolver",
-    "HeldBody",
-    "components_of",
-    "free_motion_count",
-    "held_nodes",
-    "pointwise_graph",
-    "rigid_modes",
-]
-
 LEAST_HOLD = 1e-6
 """Relative motion of the held components below which a rigid motion is free.
 

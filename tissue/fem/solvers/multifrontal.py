@@ -18,8 +18,6 @@ from scipy.sparse import csc_array, tril
 from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 
-__all__ = ["Front", "Multifrontal", "NotPositiveDefiniteError", "fronts_of"]
-
 
 @dataclass(frozen=True, eq=False)
 class Front:

@@ -24,8 +24,6 @@ from tissue.fem.conjugate_gradients import (
 )
 from tissue.fem.solvers.held_body import HeldBody, rigid_modes
 
-__all__ = ["MultigridSolver"]
-
 COARSEST_NODES = 50
 """Largest number of aggregates of a level that is solved directly.
 

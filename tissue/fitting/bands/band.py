@@ -50,9 +50,6 @@ from tissue.simulation.run_folder import Summary, added_to_run, read_summary
 from tissue.simulation.simulate import simulate
 from tissue.system.owned_folder import listed_files
 
-__all__ = ["Band", "band_of", "read_band", "require_band", "require_same", "save_band"]
-
-
 SAME_EVERYWHERE = "does not vary with the constants, because the path is given"
 NEEDS_RUNS = "depends on constants and needs a run of each sample (--each-run)"
 HOW = "the geometry was recorded once and reweighed, because the path is given"

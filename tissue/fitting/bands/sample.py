@@ -19,23 +19,6 @@ from tissue.materials.scene_constants import Materials
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import used_constants
 
-__all__ = [
-    "LEAST",
-    "LEAST_EXPLAINED",
-    "MOST",
-    "Ranges",
-    "normals",
-    "ranges_of",
-    "rounded",
-    "sample_name",
-    "sample_text",
-    "sampled",
-    "sobol_indices",
-    "surrogate_indices",
-    "toml_tables",
-]
-
-
 LEAST = 16
 MOST = 65536
 """Largest number of samples of a band. `LEAST` is the smallest number.

@@ -23,25 +23,6 @@ from tissue.simulation.run_folder import Summary
 from tissue.simulation.simulate import simulate
 from tissue.system.workers import finished
 
-__all__ = [
-    "CHANNELS",
-    "DENSITY",
-    "LARGEST_PREFIX",
-    "LEVELS",
-    "LOADS",
-    "Figure",
-    "Outcome",
-    "Reweighed",
-    "Workers",
-    "density_prior",
-    "figures_of",
-    "intervals",
-    "loads_of",
-    "over_time",
-    "reruns",
-    "table_of",
-]
-
 CHANNELS = (
     "force_x_N",
     "force_y_N",

@@ -14,19 +14,6 @@ from tissue.materials.scene_constants import Materials
 from tissue.motion.quaternion import NOTHING, UPRIGHT, Quaternion, Triple
 from tissue.scene.registry import DEVICES
 
-__all__ = [
-    "ComputedDevice",
-    "Device",
-    "DeviceError",
-    "DeviceParameters",
-    "KnowsTruth",
-    "Reach",
-    "Sample",
-    "StatesPlayed",
-    "device_parameters",
-    "reach_of",
-]
-
 
 class Sample(NamedTuple):
     """Sample of a device: time, pose and velocities, in the world frame."""

@@ -24,8 +24,6 @@ from tissue.motion.quaternion import (
     unit,
 )
 
-__all__ = ["Fault", "FaultKind", "FaultyDevice", "MouseDevice", "RecordedDevice"]
-
 
 class RecordedDevice(ComputedDevice):
     """Device that replays a table of poses at 1 kHz and ignores commanded forces.

@@ -25,9 +25,6 @@ from tissue.system.stopping import (
     signals_handled,
 )
 
-__all__ = ["GIVE_UP_S", "RAMP_S", "STALL_S", "SafeDevice", "run_held"]
-
-
 RAMP_S = 0.03
 """Time in which the last force is ramped to zero if the loop still runs [s].
 

@@ -26,8 +26,6 @@ from tissue.motion.quaternion import (
     unit,
 )
 
-__all__ = ["NewSamples", "Roughness", "SampleGuard", "guard_of"]
-
 MEMORY = 8.0
 """Number of new samples over which the share of rough samples is averaged, see `Roughness`.
 

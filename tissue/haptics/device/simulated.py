@@ -20,8 +20,6 @@ from tissue.motion.quaternion import (
     turn_between,
 )
 
-__all__ = ["Plant", "SimulatedDevice"]
-
 
 class Plant:
     """Moving mass of a device: friction, amplifier, and the spring and damper of a hand.

@@ -16,20 +16,6 @@ from tissue.models.tissue_model import TICK_S
 from tissue.motion.quaternion import NOTHING, UPRIGHT, Quaternion, Triple
 from tissue.scene.registry import HANDS
 
-__all__ = [
-    "Aim",
-    "Aiming",
-    "Grip",
-    "Hand",
-    "HandAction",
-    "HandParameters",
-    "HoldingHand",
-    "Path",
-    "hand_parameters",
-    "minimum_jerk",
-    "waypoints",
-]
-
 Path = Callable[[float], Array]
 """Function from time [s] to position [m], shape (3,)."""
 

@@ -13,8 +13,6 @@ from tissue.haptics.proxy.held_tool import HeldTool
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.quaternion import Triple
 
-__all__ = ["CompensatedPath", "FeltDrop", "PushingHand", "Thrust"]
-
 THRESHOLDS = 2.0
 """Drop of the felt force to which a participant reacts [discrimination thresholds] (assumed).
 

@@ -16,20 +16,6 @@ from meshes.base.hints import suggests_arguments
 from tissue.haptics.loop.filters import low_pass_gain
 from tissue.haptics.loop.sampled_loop import WallLoop, largest_eigenvalue, spectral_radius
 
-__all__ = [
-    "LinearHand",
-    "Verdict",
-    "critical_stiffness_N_m",
-    "delay_bound_N_m",
-    "in_hands",
-    "judge",
-    "nearest_stable_N_m",
-    "pade_bound_N_m",
-    "passive_bound_N_m",
-    "quantised_bound_N_m",
-    "settling_hands",
-]
-
 SOFTEST_N_M = 1e-2
 STIFFEST_N_M = 1e8
 """Search range of the critical stiffness: `SOFTEST_N_M` to `STIFFEST_N_M` [N/m]."""

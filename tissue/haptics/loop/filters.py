@@ -9,18 +9,6 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 
-__all__ = [
-    "OBSERVER_MEMORY",
-    "VELOCITY_MEMORY",
-    "ConstantAcceleration",
-    "DelayLine",
-    "ForceRange",
-    "LowPass",
-    "SlewLimit",
-    "constant_acceleration_map",
-    "low_pass_gain",
-]
-
 VELOCITY_MEMORY = 0.85
 """Memory of the filter that estimates the velocity of a device.
 

@@ -18,9 +18,6 @@ from tissue.prediction.predictor import Contact, SeesContact
 if TYPE_CHECKING:
     from tissue.prediction.predictor import Predictor
 
-__all__ = ["Forecast", "forecast_of"]
-
-
 PROBES = (1e-5, 1e-3, 1e-3)
 """Changes of position [m], velocity [m/s] and force [N] used to probe a predictor.
 

@@ -21,21 +21,6 @@ from tissue.haptics.loop.vibration import ENVELOPE_S, Vibration
 from tissue.models.tissue_model import TICK_S
 from tissue.system.blas_threads import one_blas_thread
 
-__all__ = [
-    "ForecastMemory",
-    "SampledVelocity",
-    "WallLoop",
-    "force_later_N",
-    "largest_eigenvalue",
-    "loop_matrix",
-    "mean_over_ticks_N",
-    "motor_force_N",
-    "motor_lag_ticks",
-    "parts_of_tick",
-    "plant_step",
-    "spectral_radius",
-]
-
 MOST_TICKS = 400
 """Longest delay, and longest model step, in the analysis [ticks].
 

@@ -25,14 +25,6 @@ from tissue.haptics.loop.sampled_loop import (
 )
 from tissue.haptics.loop.vibration import ENVELOPE_S
 
-__all__ = [
-    "StabilityChart",
-    "StabilityMap",
-    "growth_while_running",
-    "measured_critical_N_m",
-    "stability_map",
-]
-
 SOFTEST_N_M = 0.1
 STIFFEST_N_M = 1e6
 """Range of the bisection: `SOFTEST_N_M` to `STIFFEST_N_M` [N/m].

@@ -14,16 +14,6 @@ from tissue.models.tissue_model import TICK_S, Response
 if TYPE_CHECKING:
     from tissue.perception.perceived import Perception
 
-__all__ = [
-    "BAND_LIMIT_HZ",
-    "CUE_HZ",
-    "Cues",
-    "PlayedForce",
-    "PlayedVibration",
-    "TouchEvents",
-    "Vibration",
-]
-
 BAND_LIMIT_HZ = 250.0
 """Highest rendered frequency [Hz]: a quarter of the tick rate.
 

@@ -12,8 +12,6 @@ from tissue.models.tissue_model import Response
 from tissue.motion.motion import matrix_of
 from tissue.motion.quaternion import Quaternion, exponential, product, turn_between
 
-__all__ = ["CutTissue", "CuttingTool"]
-
 NATURAL_Hz = 40.0
 """Natural frequency of the tool on its spring [Hz]; it determines the mass of the tool.
 

@@ -10,8 +10,6 @@ from meshes.base.arrays import Array
 from tissue.models.tissue_model import Response
 from tissue.motion.quaternion import UPRIGHT, Quaternion, exponential, product, turn_between
 
-__all__ = ["FADE", "HeldTool", "HeldTurn", "PressingTool"]
-
 LEAST_RAD = 1e-5
 """Smallest rotation for an estimate of the stiffness [rad]; a tool of 20 mm moves 0.2 um."""
 FURTHEST_RAD = 2.5

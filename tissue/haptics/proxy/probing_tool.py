@@ -15,8 +15,6 @@ from tissue.models.bone.smooth_surface import FRICTION
 from tissue.models.tissue_model import FreeSpace, Response, ToolMotion
 from tissue.motion.quaternion import Quaternion
 
-__all__ = ["ProbedBone", "ProbingTool"]
-
 RIGID_LEVER_M = 10.0
 """Lever (see `Proxy`) of the rotational spring for a device that imposes its rotation [m].
 

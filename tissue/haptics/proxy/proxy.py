@@ -39,8 +39,6 @@ from meshes.base.errors import InputError
 from tissue.cutters.cutter import Cutter
 from tissue.models.bone.bricks import BrickStore
 
-__all__ = ["Ball", "Box", "ContactField", "HalfSpace", "Proxy", "ProxyResult", "Solid", "ToolShell"]
-
 FELT_VOXELS = 0.5 * sqrt(3.0)
 """Largest distance from a voxel at which its trilinear fraction is not zero [voxel]."""
 NOWHERE_M = 1e30

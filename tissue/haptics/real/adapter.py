@@ -22,16 +22,6 @@ from tissue.scene.registry import DEVICES
 if TYPE_CHECKING:
     from tissue.scene.coupling import Hardware
 
-__all__ = [
-    "FoundDevice",
-    "HardwareAdapter",
-    "HardwareSample",
-    "RecordedAdapter",
-    "adapter_class",
-    "checked_url",
-    "devices",
-]
-
 ADAPTERS = {
     "haply": ("haply", "HaplyAdapter"),
     "forcedimension": ("forcedimension", "ForceDimensionAdapter"),

@@ -19,9 +19,6 @@ from tissue.motion.quaternion import NOTHING, UPRIGHT, of_matrix
 if TYPE_CHECKING:
     from tissue.scene.coupling import Hardware
 
-__all__ = ["ForceDimensionAdapter", "SigmaAdapter"]
-
-
 FAILED = -1
 UNCHANGED = 1
 """Return value of a call for no new data; the value for an error is `FAILED`.

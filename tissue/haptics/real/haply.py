@@ -41,9 +41,6 @@ from tissue.system.stopping import returned_within
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
 
-__all__ = ["HaplyAdapter"]
-
-
 PERIOD_S = 1e-3
 """Longest time between an answer and the next frame [s]: one tick."""
 ANSWER_S = 0.02

@@ -20,18 +20,6 @@ from tissue.haptics.real.adapter import HardwareSample, checked_url
 from tissue.motion.quaternion import NOTHING, UPRIGHT, Triple
 from tissue.system.stopping import returned_within
 
-__all__ = [
-    "ServiceState",
-    "StateOrder",
-    "asked_version",
-    "force_frame",
-    "opening_frame",
-    "problem_of",
-    "service_address",
-    "spelling_of",
-    "version_in",
-]
-
 GRIPS = ("wireless_verse_grip", "verse_grip", "custom_verse_grip")
 """Kinds of handles with orientation and buttons, in search order."""
 VECTOR_SINCE = (3, 5)

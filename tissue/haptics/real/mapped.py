@@ -24,8 +24,6 @@ from tissue.motion.quaternion import (
 )
 from tissue.scene.coupling import Hardware
 
-__all__ = ["MappedDevice", "Workspace"]
-
 
 class Workspace:
     """Mapping of device poses into the scene, and of forces back into the device axes.

@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 
     from tissue.scene.coupling import Hardware
 
-__all__ = ["USUAL", "NetworkAdapter", "UdpTransport", "WebTransport"]
-
-
 USUAL = "udp://127.0.0.1:24930"
 """Default address on which the program listens for a device."""
 MOST_READS = 256

@@ -13,22 +13,6 @@ from typing import NamedTuple
 from tissue.haptics.real.adapter import HardwareSample
 from tissue.motion.quaternion import is_nearly_unit
 
-__all__ = [
-    "MAGIC",
-    "NO_WRENCH",
-    "SILENCE_S",
-    "VERSION",
-    "WHOLE",
-    "Kind",
-    "NetworkSession",
-    "Packet",
-    "PacketError",
-    "Wrench",
-    "is_newer",
-    "packed",
-    "unpacked",
-]
-
 MAGIC = b"TDEV"
 """First four bytes of every packet."""
 VERSION = 1

@@ -29,9 +29,6 @@ from tissue.motion.quaternion import of_matrix, turn_between
 if TYPE_CHECKING:
     from tissue.scene.coupling import Hardware
 
-__all__ = ["OpenHapticsAdapter"]
-
-
 USUAL = "Default Device"
 """Default name of a device in the vendor's configuration."""
 NONE = (None, 0x0104, 0xFFFFFFFF)

@@ -16,8 +16,6 @@ from tissue.haptics.device.device import Reach
 from tissue.haptics.real.adapter import HardwareAdapter
 from tissue.models.tissue_model import TICK_S
 
-__all__ = ["BUMP_N", "BUMP_S", "Bump", "SelfTest", "bump", "self_test", "write_measured"]
-
 BUMP_N = 0.5
 BUMP_S = 0.3
 """Duration of the push [s]; `BUMP_N` is the largest force of the push [N].

@@ -15,9 +15,6 @@ from meshes.base.errors import InputError
 from meshes.voxels.distances import OUTSIDE, near_the_surface
 from meshes.voxels.volume import VoxelVolume
 
-__all__ = ["BYTES_PER_VOXEL", "BrickGrid", "BrickState", "BrickStore", "voxels_of"]
-
-
 BYTES_PER_VOXEL = 14
 """Bytes stored per voxel of a brick.
 

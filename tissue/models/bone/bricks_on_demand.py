@@ -15,8 +15,6 @@ from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import AROUND_VOXELS, voxelise
 from tissue.models.bone.bricks import BYTES_PER_VOXEL, BrickGrid, BrickStore
 
-__all__ = ["Boxes", "BricksOnDemand"]
-
 Boxes = tuple[Array, Array]
 """Lowest corners and highest corners of boxes [m], each of shape (n, 3)."""
 PATCH = 4

@@ -38,8 +38,6 @@ from tissue.models.bone.bricks import BrickStore, voxels_of
 from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import ToolMotion
 
-__all__ = ["Carver", "CarvingReplay", "Removal"]
-
 Removal = Literal["subvoxel", "binary"]
 
 CARVE_LAG_M = 2.0e-5

@@ -17,14 +17,6 @@ from meshes.base.arrays import Array
 from tissue.cutters.cutter import Cutter, PointShell
 from tissue.models.bone.bricks import BrickStore
 
-__all__ = [
-    "CREEP_M_S",
-    "CuttingForces",
-    "edge_lengths_m",
-    "elements_of",
-    "levers_of",
-]
-
 LEVER = [0, 1, 3, 4, 5, 6, 7, 8, 9, 10, 11, 14, 15, 16]
 """Indices of the load components that are nonzero on at least one cutting element.
 

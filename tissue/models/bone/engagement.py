@@ -34,17 +34,6 @@ from tissue.models.bone.law_limits import THICKEST_M
 from tissue.models.bone.model import BoneModel, MilledTissue
 from tissue.models.tissue_model import Response, ToolMotion
 
-__all__ = [
-    "DIRECTIONS",
-    "HIGHEST_EXPONENT",
-    "LINEAR_CHIPS_M",
-    "DensityNodes",
-    "EngagedBone",
-    "EngagedElements",
-    "chip_nodes",
-    "plunge_unit_loads",
-]
-
 HIGHEST_EXPONENT = 5.0
 """Largest density exponent that a scene accepts; the smallest is 0."""
 MIDDLE = 0.5 * HIGHEST_EXPONENT

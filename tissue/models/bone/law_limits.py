@@ -6,8 +6,6 @@ from tissue.cutters.cutter import Cutter
 from tissue.models.bone.smooth_surface import SmoothSurface
 from tissue.models.tissue_model import ToolMotion
 
-__all__ = ["THICKEST_M", "LawLimits"]
-
 THICKEST_M = 1e-4
 """Largest feed per tooth for which the law holds [m].
 

@@ -10,8 +10,6 @@ from kernels.mirror import Mirror
 from meshes.base.arrays import Array
 from tissue.models.tissue_model import ToolMotion
 
-__all__ = ["RecentPoses"]
-
 RINGS = (
     (12, 4e-6),
     (24, 2.4e-5),

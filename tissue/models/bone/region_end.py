@@ -10,8 +10,6 @@ from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.models.tissue_model import TICK_S, StopsReporting, ToolMotion
 
-__all__ = ["RegionEnd"]
-
 MOST_POINTS = 1000
 """Largest number of points of the tool that are compared with the tissue.
 

@@ -13,8 +13,6 @@ from tissue.cutters.profile import Line
 from tissue.models.bone.bricks import BrickStore
 from tissue.models.bone.elements import CuttingForces, elements_of
 
-__all__ = ["FRICTION", "SmoothSurface"]
-
 SMOOTH_ELEMENTS = 500
 """Number of elements on the surface that does not cut; chosen."""
 BLOCKED = 0.25

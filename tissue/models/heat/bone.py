@@ -9,8 +9,6 @@ from tissue.models.bone.model import BoneModel, MilledTissue
 from tissue.models.heat.cutting_heat import CuttingHeat
 from tissue.models.tissue_model import Response, ToolMotion
 
-__all__ = ["BODY_C", "DOSE_LIMITS_MIN", "HeatedBone", "dose_rate"]
-
 BODY_C = 37.0
 """Temperature of the bone at the start [degC]: core temperature of the body.
 

@@ -17,8 +17,6 @@ from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.materials.constants import thermal_material
 from tissue.materials.scene_constants import Materials
 
-__all__ = ["Conduction", "HeatGrid"]
-
 GROWTH = (1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 4, 5, 6)
 """Widths of the cells outside the fine part of the grid [voxel], from inside to outside.
 

@@ -16,8 +16,6 @@ from tissue.models.bone.model import BoneModel
 from tissue.models.heat.conduction import Conduction, HeatGrid
 from tissue.models.tissue_model import TICK_S, ToolMotion
 
-__all__ = ["CuttingHeat", "TakeCuts"]
-
 TakeCuts = Callable[[], tuple[Ints, NDArray[np.uint16]]]
 """Function that returns the bricks (blocks of voxels) that lost material since its last call.
 

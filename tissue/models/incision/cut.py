@@ -7,8 +7,6 @@ import numpy as np
 from meshes.base.arrays import Array
 from tissue.models.incision.parameters import Blade, IncisedTissue
 
-__all__ = ["COLUMNS", "Cut"]
-
 COLUMNS = 512
 """Number of columns across the width of a blade that store the depth of the cut.
 

@@ -25,8 +25,6 @@ from tissue.models.incision.parameters import Blade, IncisedTissue
 from tissue.models.organ.fields import OrganFields
 from tissue.models.organ.soft_organ import SoftOrgan
 
-__all__ = ["IncisionFields", "Track"]
-
 SIDE_M = 0.02
 """Thickness of the tissue next to the cut, beyond the ends of the cut and below the cut [m].
 

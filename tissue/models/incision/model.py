@@ -13,8 +13,6 @@ from tissue.models.needle.parameters import LEAST_COSINE
 from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import Response, ToolMotion
 
-__all__ = ["IncisionModel"]
-
 PLAY_M = 1e-3
 """Distance from a cut's plane up to which a blade in the cut feels no sideways force [m].
 

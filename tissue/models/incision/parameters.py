@@ -9,8 +9,6 @@ from meshes.base.errors import InputError, require_positive, require_range
 from tissue.materials.scene_constants import Materials
 from tissue.models.needle.parameters import positive_root
 
-__all__ = ["Blade", "IncisedTissue", "incised_tissue"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Blade:

@@ -25,9 +25,6 @@ from tissue.models.needle.parameters import LEAST_COSINE
 from tissue.models.organ.fields import OrganFields
 from tissue.models.organ.soft_organ import SoftOrgan
 
-__all__ = ["NeedleFields", "Track", "needle_block"]
-
-
 SIDE_M = 0.08
 """Width of the block across the needle [m].
 

@@ -11,8 +11,6 @@ from tissue.models.needle.parameters import LEAST_COSINE, NeedleTissue, positive
 from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import Response, ToolMotion
 
-__all__ = ["Insertion", "NeedleModel"]
-
 
 class Insertion:
     """One track of a needle, in one dimension.

@@ -8,8 +8,6 @@ from math import sqrt
 from meshes.base.errors import InputError, names_of_caller, require_positive, require_range
 from tissue.materials.scene_constants import Materials
 
-__all__ = ["Membrane", "NeedleTissue", "ShaftFriction", "needle_tissue", "vessel_wall"]
-
 LARGEST_N = 1e4
 """Largest allowed value of a force parameter [N]; a larger value is taken for a wrong unit."""
 LARGEST_N_M = 1e6

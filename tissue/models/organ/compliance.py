@@ -24,15 +24,6 @@ from tissue.fem.solvers.held_body import HeldBody, components_of
 from tissue.fem.solvers.multigrid import MultigridSolver
 from tissue.system.blas_threads import one_blas_thread
 
-__all__ = [
-    "CONDENSING",
-    "FACTOR_UNKNOWNS",
-    "CompliancePath",
-    "Factor",
-    "KeptColumns",
-    "compliance_of",
-]
-
 CONDENSING = "condensing the compliance to the surface that can be touched"
 FACTOR_UNKNOWNS = 200_000
 """Largest number of unknowns for which an organ is solved by a sparse factorisation.

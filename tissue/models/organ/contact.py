@@ -35,15 +35,6 @@ from tissue.fem.solvers.held_body import components_of
 from tissue.models.organ.probe import ProbeShape, ShellProbe
 from tissue.models.state import State, require_shapes
 
-__all__ = [
-    "ContactOutcome",
-    "ContactResult",
-    "SurfaceContact",
-    "body_arrays",
-    "contact_points",
-    "point_arrays",
-]
-
 MOST_DIVISIONS = 16
 """Largest number of contact points along a triangle's edge: a triangle then has 256 points."""
 

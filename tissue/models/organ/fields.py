@@ -14,8 +14,6 @@ from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.models.organ.law_window import LawWindow, LawWindows
 from tissue.models.organ.soft_organ import SoftOrgan
 
-__all__ = ["OrganFields", "cauchy_stress"]
-
 TOLERANCE = 1e-3
 STEPS = 100
 """Allowed number of solver steps of a frame under a hyperelastic law.

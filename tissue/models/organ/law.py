@@ -44,8 +44,6 @@ from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import SLOW
 from tissue.system.blas_threads import one_blas_thread
 
-__all__ = ["LawOffset", "TickState"]
-
 TOLERANCE = 1e-3
 STEPS = 30
 """Allowed number of steps of a solve.

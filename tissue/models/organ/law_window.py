@@ -25,8 +25,6 @@ from tissue.models.organ.compliance import FACTOR_UNKNOWNS
 from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan, ToolPath
 from tissue.models.state import State, copied, put_back
 
-__all__ = ["TOUCHED", "LawWindow", "LawWindows", "whole_window", "window_centres", "window_of"]
-
 HOP = 0.5
 """Largest distance of a contact from the centre of its window, divided by the region's radius.
 

@@ -56,8 +56,6 @@ from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.system.blas_threads import one_blas_thread
 
-__all__ = ["ContactSolution", "LiverModel"]
-
 LINEAR_ERROR = ((0.37, 0.05), (0.57, 0.1))
 """Depths relative to the radius of a ball, and relative error of the linear force at each depth.
 

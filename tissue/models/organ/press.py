@@ -15,8 +15,6 @@ from tissue.models.organ.probe import ProbeShape, ShellProbe
 from tissue.models.organ.soft_organ import SoftOrgan, ToolPath, linear_triangles
 from tissue.models.tissue_model import ToolMotion
 
-__all__ = ["PressCurve", "press"]
-
 STEPS = 100
 """Smallest number of steps from the first touch to the depth.
 

@@ -18,9 +18,6 @@ from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError, require_positive
 from meshes.surfaces.triangle_files import read_triangles
 
-__all__ = ["CylinderProbe", "ProbeShape", "ShellProbe", "SphereProbe"]
-
-
 SPACINGS = 2.0
 """Number of contact points along a tool's radius, so that the tool cannot slip between points."""
 

@@ -29,9 +29,6 @@ from tissue.models.organ.compliance import (
 )
 from tissue.models.organ.probe import ProbeShape
 
-__all__ = ["Membrane", "OrganLaw", "SoftOrgan", "ToolPath", "linear_triangles"]
-
-
 MARGIN_EDGES = 0.25
 """Margin around the tool's path in which the surface may be touched [mesh edges].
 

@@ -30,8 +30,6 @@ from tissue.models.tooth.grid import (
 from tissue.models.tooth.multigrid import GridHierarchy
 from tissue.models.tooth.stiffness import CellStiffness
 
-__all__ = ["Change", "ParticleBody", "supported_cells"]
-
 LEAST_CURVATURE = 1e-12
 """Fraction of ``p . D p`` below which ``p . K p`` is a rounding error; D is the diagonal of K.
 

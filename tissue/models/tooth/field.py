@@ -30,8 +30,6 @@ from tissue.models.tooth.recovery import (
     support_compliance,
 )
 
-__all__ = ["SolveRecord", "StressField"]
-
 TOOTH = ("enamel", "dentin", "pulp", "caries")
 """Names of the layers that are filled with particles.
 

@@ -21,8 +21,6 @@ from tissue.models.tooth.grid import HexGrid, NodeSupports
 from tissue.models.tooth.stiffness import CellStiffness
 from tissue.models.tooth.strips import LaneVector, StripProduct
 
-__all__ = ["FinestLevel", "NodeBlocks"]
-
 
 class NodeBlocks:
     """Assembled stiffness K of a grid whose nodes are not held, in rows of 3 x 3 blocks.

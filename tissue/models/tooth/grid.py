@@ -15,21 +15,6 @@ from scipy.ndimage import gaussian_filter
 from meshes.base.arrays import Array, Bytes, Flags, Int32s, Integers, Ints
 from tissue.fem.solvers.held_body import rigid_modes
 
-__all__ = [
-    "CORNERS",
-    "FULL_STEPS",
-    "NEIGHBOURS",
-    "NO_SPRINGS",
-    "HexGrid",
-    "NodeSupports",
-    "ParticleSet",
-    "PointSprings",
-    "ball_weight",
-    "bed_springs",
-    "bed_stiffness",
-    "shape_values",
-]
-
 CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 """Corners of a cell, in units of its edge, shape (8, 3)."""
 CORNER_PAIRS = list(combinations_with_replacement(range(8), 2))

@@ -18,9 +18,6 @@ from tissue.models.tissue_model import SLOW, Response, ToolMotion
 from tissue.models.tooth.stress_process import Drilled, StressSolver
 from tissue.system.child import HelperLostError
 
-__all__ = ["ToothModel"]
-
-
 CENTROID_COLUMNS = ("tooth_centroid_x_um", "tooth_centroid_y_um", "tooth_centroid_z_um")
 """Trace columns of the tooth's rigid translation, at the centroid of the tooth's material."""
 BUR_COLUMNS = ("tooth_at_bur_x_um", "tooth_at_bur_y_um", "tooth_at_bur_z_um")

@@ -29,8 +29,6 @@ from tissue.models.tooth.finest_level import FinestLevel, NodeBlocks
 from tissue.models.tooth.grid import CORNERS, NEIGHBOURS, HexGrid, NodeSupports
 from tissue.models.tooth.stiffness import CellStiffness
 
-__all__ = ["GridHierarchy", "GridTransfer"]
-
 
 class GridTransfer:
     """Recorded kernel launches for the transfer between a fine and a coarse level.

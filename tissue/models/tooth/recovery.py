@@ -21,16 +21,6 @@ from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.grid import ParticleSet, ball_weight
 from tissue.models.tooth.stiffness import CellStiffness
 
-__all__ = [
-    "REACH_M",
-    "FirstGuess",
-    "StressPoints",
-    "StressRecovery",
-    "SupportCompliance",
-    "stress_invariants",
-    "support_compliance",
-]
-
 
 class StressPoints:
     """Points of a material at which the stress is computed repeatedly.

@@ -21,8 +21,6 @@ from tissue.models.tooth.grid import (
 )
 from tissue.models.tooth.strips import CellStrips, PackedProduct
 
-__all__ = ["CellStiffness", "full_cell_stiffness"]
-
 CENTRE = np.full(3, 0.5)
 
 

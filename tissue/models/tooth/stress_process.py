@@ -23,9 +23,6 @@ from tissue.models.bone.bricks import BrickGrid, BrickStore, voxels_of
 from tissue.models.tooth.field import SolveRecord, StressField
 from tissue.system.child import Helper
 
-__all__ = ["Bricks", "Drilled", "InlineStressSolver", "StressProcess", "StressSolver"]
-
-
 ASSEMBLY_S = 3600.0
 SOLVE_S = 600.0
 """Longest wait for one solve of the other process [s].

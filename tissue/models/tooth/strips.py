@@ -16,8 +16,6 @@ from kernels.mirror import put
 from meshes.base.arrays import Array, Int32s, Integers, Ints
 from tissue.models.tooth.grid import HexGrid
 
-__all__ = ["CellStrips", "LaneVector", "PackedProduct", "StripLayout", "StripProduct"]
-
 
 class PackedProduct:
     """Recorded product of the stiffness of some cells with nodal displacements.

@@ -21,9 +21,6 @@ from tissue.show.figures.figure import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["draw_band", "draw_sobol"]
-
-
 OUTER = 0.22
 INNER = 0.4
 """Opacity of the 90 % band, and of the 50 % band on top of it."""

@@ -40,9 +40,6 @@ if TYPE_CHECKING:
     import pyvista
     from matplotlib.axes import Axes
 
-__all__ = ["draw_before_after"]
-
-
 Plane = tuple[int, float]
 """World axis perpendicular to a plane, and the coordinate of the plane [mm]."""
 HEIGHTS_PX = 64, 170

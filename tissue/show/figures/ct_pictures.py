@@ -25,18 +25,6 @@ if TYPE_CHECKING:
     import pyvista
     from matplotlib.axes import Axes
 
-__all__ = [
-    "Marks",
-    "draw_ct_bone",
-    "draw_ct_histogram",
-    "draw_ct_organ",
-    "draw_ct_slices",
-    "draw_path_depth",
-    "mesh_of",
-    "middle_of",
-    "outline_of",
-]
-
 BONE_HU = (-200.0, 1300.0)
 SOFT_HU = (-160.0, 240.0)
 """Hounsfield units that are shown as black and as white, for bone and for soft tissue.

@@ -21,31 +21,6 @@ if TYPE_CHECKING:
     from tissue.simulation.bone_surface import DepthMap
     from tissue.simulation.run import Run
 
-__all__ = [
-    "BONE",
-    "COMPONENTS",
-    "DEPTH_COLOURS",
-    "DPI",
-    "EDGE",
-    "axis_names",
-    "depth_limit",
-    "draw_arrow",
-    "field_colours",
-    "field_words",
-    "figure",
-    "halo",
-    "is_vector",
-    "layer_colours",
-    "legend_above",
-    "panelled",
-    "plain",
-    "plain_numbers",
-    "save",
-    "styled",
-    "torque_unit",
-]
-
-
 P = ParamSpec("P")
 T = TypeVar("T")
 DPI = 200

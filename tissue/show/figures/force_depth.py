@@ -27,9 +27,6 @@ from tissue.simulation.run import Run
 from tissue.simulation.saved_fields import field_label
 from tissue.simulation.trace import NO_LAYER
 
-__all__ = ["draw_force_depth", "draw_insertion", "draw_wall", "first_descent"]
-
-
 RISE_MM = 0.2
 """Rise of the tool that ends a descent [mm].
 

@@ -27,9 +27,6 @@ from tissue.simulation.trace import NO_LAYER
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-__all__ = ["FLICKER_S", "draw_force_torque", "draw_played", "event_lines", "mark_events", "spells"]
-
-
 MOST_EVENTS = 6
 """Largest number of events that are numbered and listed below a picture; more events would need
 more height than a panel.

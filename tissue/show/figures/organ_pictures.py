@@ -34,9 +34,6 @@ if TYPE_CHECKING:
     import pyvista
     from matplotlib.cm import ScalarMappable
 
-__all__ = ["draw_held", "draw_press"]
-
-
 EYE = (0.25, -0.75, 0.62)
 ACROSS = (0.0, -1.0, 0.0)
 """Directions to the eye: for the whole organ (lower than in `tissue view`), and for a section

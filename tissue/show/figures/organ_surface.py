@@ -11,8 +11,6 @@ from tissue.simulation.saved_fields import field_values
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["SHOWN", "at_nodes", "drawn_surface", "inclusions", "with_normals"]
-
 SHOWN = "shown"
 """Name of the point array with the values that are drawn."""
 SHARP_DEG = 40.0

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["FIELD_AMBIENT", "Camera", "Shaded", "draw_axes", "draw_shaded", "paint", "round_length"]
-
 PANEL_PX = 780
 GAP_PX = 40
 """Width of a panel, and of the space between two panels [pixels].

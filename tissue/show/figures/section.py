@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.image import AxesImage
 
-__all__ = ["draw_section", "plane_of"]
-
-
 STRESS = "von_mises_MPa"
 REMOVED_TINT = 0.28
 """Share of the colour of a layer in the colour of removed tissue."""

@@ -21,15 +21,6 @@ if TYPE_CHECKING:
 
     from tissue.simulation.trace import Table
 
-__all__ = [
-    "faces_of",
-    "pose",
-    "row_at",
-    "spin_arc_mm",
-    "tool_surface",
-    "turning_tool",
-]
-
 NEEDLE_MM = 80.0
 """Length of a drawn needle [mm], longer than the deepest insertion in a study (60 mm)."""
 BLADE_MM = 40.0

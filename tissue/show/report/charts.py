@@ -13,16 +13,6 @@ from tissue.scene.scene import Scene
 from tissue.show.figures.figure import COMPONENTS, field_words, layer_colours, torque_unit
 from tissue.simulation.trace import Table
 
-__all__ = [
-    "Record",
-    "charts",
-    "columns",
-    "packed",
-    "packed_mesh",
-    "packed_shares",
-    "packed_vectors",
-]
-
 Record = dict[str, Any]
 """Values that JSON can contain."""
 LARGEST = 32767

@@ -9,20 +9,6 @@ from tissue.scene.used_constants import Used
 from tissue.simulation.run_folder import SavedRun, Summary
 from tissue.system.html import html_list, html_picture
 
-__all__ = [
-    "assessment_section",
-    "band_lines",
-    "band_section",
-    "events_table",
-    "figures_of",
-    "materials_table",
-    "notes_table",
-    "reproduce",
-    "run_rows",
-    "status_of",
-]
-
-
 Text = Callable[[str], str]
 """Function that converts a plain text to cleaned and escaped HTML."""
 CONFIDENCE = {"H": "high", "M": "medium", "L": "low"}

@@ -35,9 +35,6 @@ from tissue.simulation.run_folder import SavedRun, added_to_run
 from tissue.simulation.saved_fields import require_whole
 from tissue.system.html import html_page
 
-__all__ = ["NAME", "write_report"]
-
-
 NAME = "report.html"
 """Name of the report in the folder of a run."""
 SCRIPTS = ("decode", "moment", "charts", "surfaces", "stage", "report")

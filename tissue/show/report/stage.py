@@ -31,8 +31,6 @@ from tissue.simulation.vtk_files import mesh_in_scene, read_collection
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["stage"]
-
 TOOL = "#808080"
 DEVICE = "#D55E00"
 PATH = "#D55E00"

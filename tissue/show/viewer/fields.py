@@ -20,8 +20,6 @@ from tissue.simulation.saved_fields import SavedFields, field_values
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["BoneShown", "FieldsShown", "layer_look"]
-
 TETRAHEDRON = 10
 """VTK's number of the cell type."""
 AMBIENT = 0.78

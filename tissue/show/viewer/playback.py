@@ -2,8 +2,6 @@
 
 from time import perf_counter
 
-__all__ = ["Playback"]
-
 SLOWEST_S = 4.0
 """Shortest duration of a playback [s]; a shorter run is played slower."""
 

@@ -8,20 +8,6 @@ from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
 
-__all__ = [
-    "Plotter",
-    "add_colour_scale",
-    "add_names",
-    "add_slider",
-    "add_text",
-    "aim",
-    "free_keys",
-    "in_words",
-    "new_plotter",
-    "on_click",
-    "picked",
-]
-
 Plotter: TypeAlias = Any
 """Type of a `pyvista.Plotter`.
 

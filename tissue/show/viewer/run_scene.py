@@ -21,8 +21,6 @@ from tissue.simulation.trace import Table
 if TYPE_CHECKING:
     import pyvista
 
-__all__ = ["CHART_SHARE", "Choice", "RunScene", "ToolShown", "times_of"]
-
 CHART_SHARE = 0.27
 """Height of the chart, relative to the window."""
 MOST_ROWS = 4000

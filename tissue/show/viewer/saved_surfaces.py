@@ -33,17 +33,6 @@ if TYPE_CHECKING:
 
     from tissue.models.bone.carver import CarvingReplay
 
-__all__ = [
-    "BoneOverTime",
-    "Plane",
-    "bone_of",
-    "cut_plane",
-    "is_bone_from_file",
-    "saved_fields",
-    "tool_force",
-]
-
-
 Plane = tuple[tuple[float, float, float], tuple[float, float, float]]
 """Normal and point [mm] of a plane. The part on the side of the normal is left out."""
 INSIDE_MM = 1e-4

@@ -12,9 +12,6 @@ from tissue.scene.texts import anatomy_of, save_site
 from tissue.show.figures.figure import BONE
 from tissue.show.viewer.plotter import add_text, free_keys, in_words, new_plotter, on_click, picked
 
-__all__ = ["is_imported", "show_site"]
-
-
 SIZE = (1400, 950)
 SITE = "#0072B2"
 UNSAVED = "#D55E00"

@@ -31,9 +31,6 @@ from tissue.system.offscreen import (
 )
 from tissue.system.stopping import Terminated
 
-__all__ = ["view"]
-
-
 LONGEST_MOVIE_S = 3600.0
 """Longest time for drawing a movie [s]."""
 BEGUN = {"running": "is running", "failed": "failed"}

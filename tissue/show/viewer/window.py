@@ -28,8 +28,6 @@ from tissue.simulation.saved_fields import SavedFields
 if TYPE_CHECKING:
     from PIL.Image import Image as Picture
 
-__all__ = ["Window", "check_movie", "write_clean", "write_movie"]
-
 PLACE_PX = (40, 380)
 """Position of the left end of a scale bar, from the lower left [pixels]."""
 LONGEST = 0.15

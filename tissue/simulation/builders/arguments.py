@@ -29,14 +29,6 @@ from tissue.scene.scene import Scene
 from tissue.scene.used_constants import Used, used_constants
 from tissue.simulation.builders.parts import FILE_WORDS
 
-__all__ = [
-    "given_note",
-    "require_files",
-    "require_known",
-    "stated",
-    "surface_of",
-]
-
 Table = TypeVar("Table", bound=Part)
 LAYERS = (*GLENOID_LAYERS, *VERTEBRA_LAYERS, *TOOTH_LAYERS)
 """Layers of the built-in anatomies.

@@ -22,8 +22,6 @@ from tissue.simulation.builders.voxels import (
     volume_of,
 )
 
-__all__ = ["heated_bone", "tooth_around"]
-
 CELLS = 16
 CELL_MM = 0.125, 0.5
 """Lower and upper limit of the edge of a temperature cell [mm].

@@ -42,16 +42,6 @@ from tissue.simulation.builders.voxels import volume_of
 if TYPE_CHECKING:
     from tissue.haptics.proxy.probing_tool import ProbedBone
 
-__all__ = [
-    "VoxelBone",
-    "cutter_of",
-    "element_spacing_m",
-    "milled",
-    "milled_voxels",
-    "tool_boxes",
-]
-
-
 SI = {"mm": ("m", 1e-3), "deg": ("rad", radians(1.0))}
 """SI units and conversion factors, keyed by the units in the tool table of a scene."""
 Pose = tuple[Array, Array]

@@ -29,19 +29,6 @@ from tissue.simulation.builders.loop import USUAL_N_M
 from tissue.simulation.builders.parts import motion_of
 from tissue.simulation.builders.voxels import volume_of
 
-__all__ = [
-    "ForceScale",
-    "Met",
-    "Series",
-    "chosen_scale",
-    "crossed",
-    "cut",
-    "force_met",
-    "pressed",
-    "scale_for",
-    "slot_force_N",
-]
-
 POSES = 250
 FINE_POSES = 3000
 """Number of poses of the scripted motion at which the force of a needle is evaluated.

@@ -37,9 +37,6 @@ from tissue.simulation.builders.loop import (
 )
 from tissue.simulation.builders.parts import plays_record
 
-__all__ = ["device_motion", "hand_motion"]
-
-
 STRAY_M = 2e-3
 """Distance around the scripted path within which an organ is prepared for a hand [m].
 

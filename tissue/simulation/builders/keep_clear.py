@@ -26,8 +26,6 @@ from tissue.simulation.builders.arguments import surface_of
 from tissue.simulation.builders.parts import Parts, swept_box
 from tissue.simulation.builders.voxels import is_procedural, solid_of, structures
 
-__all__ = ["keep_clear", "region_end", "require_structures"]
-
 MARGIN_M = 10e-3
 """Margin around the scripted motion, because a hand may leave the path [m]; assumed."""
 POINTS_ACROSS = 12.0

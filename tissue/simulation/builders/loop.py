@@ -36,22 +36,6 @@ from tissue.scene.tool import Tool
 if TYPE_CHECKING:
     from tissue.perception.perceived import Perception
 
-__all__ = [
-    "Contact",
-    "JudgedLoop",
-    "LoopSettings",
-    "device_path",
-    "judged_loop",
-    "judged_loops",
-    "lead_ticks",
-    "loop_settings",
-    "motor_path",
-    "person_of",
-    "release_note",
-    "sampled",
-]
-
-
 Contact = Literal["cuts", "touches", "presses", "springs"]
 """Kind of contact of a tool.
 

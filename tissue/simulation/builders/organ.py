@@ -42,18 +42,6 @@ from tissue.simulation.builders.parts import FILE_WORDS
 if TYPE_CHECKING:
     from tissue.models.organ.soft_organ import OrganLaw
 
-__all__ = [
-    "HeldMesh",
-    "elasticity_of",
-    "held_mesh",
-    "hindrance",
-    "law_of",
-    "material_of",
-    "organ_law",
-    "with_cited_shape",
-]
-
-
 PART_NODULE = "nodule"
 NODULE_KPA = 50.0
 """Young's modulus of a nodule if the scene does not give one [kPa]."""

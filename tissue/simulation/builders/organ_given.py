@@ -27,9 +27,6 @@ from tissue.materials.elasticity import (
 if TYPE_CHECKING:
     from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan
 
-__all__ = ["Hold", "SoftMaterial", "hold_of"]
-
-
 COINCIDE = 1e-6
 """Largest distance at which a node coincides with a given point, relative to the size of the
 mesh.

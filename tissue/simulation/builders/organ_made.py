@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from meshes.ct.labels import Labels
     from tissue.models.organ.soft_organ import SoftOrgan
 
-__all__ = ["MadeOrgan", "OrganOptions", "StatedOrgan", "made_of", "of_labels", "of_surface"]
-
 LAW_KEYS = ("name", *chain.from_iterable(LAW_SHAPES.values()))
 """Keys of a hyperelastic law that a caller gives as a mapping."""
 ENVELOPE = 0.1

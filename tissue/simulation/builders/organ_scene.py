@@ -28,9 +28,6 @@ if TYPE_CHECKING:
     from tissue.models.incision.parameters import Blade as IncisionBlade
     from tissue.models.needle.parameters import NeedleTissue
 
-__all__ = ["blade_of", "incised", "pierced", "pierced_tissue", "pressed", "probe_of", "wall"]
-
-
 POSES_TRIED = 200
 """Number of poses along a motion at which contact is searched for, chosen by judgement.
 

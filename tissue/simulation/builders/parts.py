@@ -31,29 +31,6 @@ from tissue.scene.registry import DEVICES, MOTIONS
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, ReplayMotion, ThrustMotion
 
-__all__ = [
-    "FILE_WORDS",
-    "Corners",
-    "Parts",
-    "TissueBuilder",
-    "box_text",
-    "far_note",
-    "motion_of",
-    "opened_device",
-    "opens_device",
-    "plays_record",
-    "poses_along",
-    "reach",
-    "recorded_file",
-    "require_device",
-    "require_outside",
-    "require_stated_rate",
-    "require_touch",
-    "require_whole",
-    "swept_box",
-    "w_first_notice",
-]
-
 FILE_WORDS = ("file", "surface", "vertices", "faces", "triangles", "cells", "nodes", "labels")
 """Names of arguments of functions that read files of anatomy or tools."""
 RECORDED = "recorded"

@@ -27,9 +27,6 @@ from tissue.prediction.predictor import Hold, Kalman, Linear, Predictor
 from tissue.prediction.trained import Trained, general_operator, is_trained, shipped_file
 from tissue.scene.registry import PERCEPTIONS, PREDICTORS
 
-__all__ = ["CAUTION", "FALLBACKS", "maker_of", "perception", "trained_predictor"]
-
-
 FALLBACKS = ("hold", "linear", "kalman")
 """Names of predictors without a Koopman operator.
 

@@ -48,9 +48,6 @@ if TYPE_CHECKING:
     from meshes.surfaces.site import Site
     from meshes.surfaces.surface import Surface
 
-__all__ = ["is_procedural", "solid_of", "structures", "volume_of"]
-
-
 DENSE_BYTES_PER_VOXEL = 18
 """Peak memory per voxel of the region [bytes], measured on the glenoid.
 

@@ -26,17 +26,6 @@ from tissue.simulation.observer import LOOK_TICKS
 from tissue.simulation.run import DEADLINE_US
 from tissue.simulation.simulate import RunObserver
 
-__all__ = [
-    "PORT",
-    "Publisher",
-    "PublishingProcess",
-    "SlicerLink",
-    "SlicerProcess",
-    "SlicerPublisher",
-    "require_link",
-    "require_ros2",
-]
-
 ROS2_PACKAGES = ("rclpy", "geometry_msgs")
 PORT = 18944
 """Default port of OpenIGTLink, for example in 3D Slicer."""

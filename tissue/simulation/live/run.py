@@ -37,8 +37,6 @@ from tissue.simulation.simulate import TICK_S, RunSettings, simulate
 from tissue.system.child import process_module
 from tissue.system.offscreen import await_display, display_problem
 
-__all__ = ["LiveObserver", "LiveSettings", "live"]
-
 LONGEST_S = 600.0
 """Default duration of a run that the mouse moves [s]; the trace of such a run is kept in memory.
 

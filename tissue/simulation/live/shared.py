@@ -23,22 +23,6 @@ if TYPE_CHECKING:
     from tissue.models.bone.model import BoneModel
     from tissue.simulation.builders.parts import Parts
 
-__all__ = [
-    "FADES_MM",
-    "MEMORY",
-    "AnyArray",
-    "BoneShared",
-    "BoneSurface",
-    "Layout",
-    "OrganShared",
-    "OrganSurface",
-    "SharedArrays",
-    "SharedTissue",
-    "Start",
-    "shared_tissue",
-    "tissue_surface",
-]
-
 AnyArray = NDArray[Any]
 Layout = dict[str, tuple[str, tuple[int, ...]]]
 """Type and shape of each array, keyed by the name of the array."""

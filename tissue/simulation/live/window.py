@@ -32,18 +32,6 @@ from tissue.simulation.trace import components
 from tissue.system.child import await_ready, child_command, process_module
 from tissue.system.offscreen import REMEDY, drawing_environments
 
-__all__ = [
-    "CLOCK",
-    "LOADS",
-    "Clock",
-    "Page",
-    "PageProcess",
-    "WindowProcess",
-    "push",
-    "reach_m",
-    "require_web",
-]
-
 CLOCK = ("tick_us", "late_us", "missed", "skipped_ms")
 """Names of the clock values that a window receives."""
 LOAD = ("time_s", *components("model_force", "N"))

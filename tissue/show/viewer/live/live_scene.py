@@ -26,9 +26,6 @@ from tissue.simulation.live.shared import (
 from tissue.simulation.live.window import CLOCK
 from tissue.simulation.trace import Table
 
-__all__ = ["HELP", "NOTCH_MM", "LiveScene", "Pointer", "Readings", "Target", "read_start"]
-
-
 TISSUE_S = 0.2
 """Shortest time between two updates of the tissue [s].
 

@@ -13,8 +13,6 @@ from tissue.show.viewer.live.live_scene import HELP, LiveScene, Pointer, Reading
 from tissue.show.viewer.plotter import add_names, add_text, in_words
 from tissue.system.child import own_process
 
-__all__ = ["LiveWindow"]
-
 SIZE = (1100, 800)
 FRAME_S = 1.0 / 30.0
 """Time between two frames [s]."""

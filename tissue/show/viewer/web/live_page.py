@@ -15,8 +15,6 @@ from tissue.show.viewer.web.server import Values, serve
 from tissue.show.viewer.web.stage import Stage
 from tissue.simulation.live.window import LOADS
 
-__all__ = ["LivePage"]
-
 SIZE = (960, 720)
 """Size of the picture until the page reports its own size [pixels]."""
 MARGINS = (0.05, 0.95, 0.06, 0.94)

@@ -14,8 +14,6 @@ from tissue.system.child import own_process
 if TYPE_CHECKING:
     from aiohttp.typedefs import Handler
 
-__all__ = ["Values", "serve"]
-
 LARGEST = 1024
 """Largest size of a message [bytes].
 

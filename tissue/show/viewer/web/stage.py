@@ -9,8 +9,6 @@ import numpy as np
 from tissue.show.viewer.plotter import Plotter
 from tissue.show.viewer.web.server import Values
 
-__all__ = ["Stage"]
-
 MOST_PX = 1_000_000
 """Largest picture [pixels]; for larger pictures, OpenGL in software takes longer than a frame."""
 QUALITY = 88

@@ -20,8 +20,6 @@ from tissue.show.viewer.web.server import Values, serve
 from tissue.show.viewer.web.stage import Stage
 from tissue.simulation.run_folder import SavedRun
 
-__all__ = ["ViewPage"]
-
 SIZE = (960, 720)
 """Size of the picture until the page reports its own size [pixels]."""
 MARGINS = (0.05, 0.82, 0.06, 0.94)
