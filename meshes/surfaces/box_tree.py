@@ -12,15 +12,15 @@ __all__ = ["LEAF", "BoxTree", "box_tree", "cut_long"]
 LEAF = 4
 """Number of triangles in a leaf, the same as in `kernels.structure_distance`."""
 LONGEST_M = 0.5e-3
-"""Edge length [m] above which a triangle near the box that contains the query points is bisected."""
+"""Edge length [m] above which a triangle near the box with the query points is bisected."""
 BY_DISTANCE = 0.25
 """Increase of this length, relative to the distance of the triangle from the query box."""
 BISECTIONS = 2
 """Largest number of bisections of a triangle.
 
-A search of the distance between a 3.2 mm drill and a coaxial tube of 48 sides evaluates 1,100 bounds
-with this value. Bisection of all longer edges gives more than 20,000 bounds, because every part of
-the tube is then equally near.
+The search of the distance between a 3.2 mm drill and a coaxial tube of 48 sides evaluates 1,100
+bounds with this value. If all longer edges were bisected, it would evaluate more than 20,000
+bounds, because all parts of the facets are equally near.
 """
 _GRID = 1024
 """Number of cells of the Morton curve along each axis.
