@@ -16,9 +16,9 @@ BY_DISTANCE = 0.25
 BISECTIONS = 2
 """Largest number of bisections of a triangle.
 
-A search of the distance between a 3.2 mm drill and a coaxial tube of 48 sides evaluates 1,100
-bounds with this value. Bisection of all longer edges gives more than 20,000 bounds, because every
-part of the tube is then equally near.
+The search of the distance between a 3.2 mm drill and a coaxial tube of 48 sides evaluates 1,100
+bounds with this value. If all longer edges were bisected, it would evaluate more than 20,000
+bounds, because all parts of the facets are equally near.
 """
 _GRID = 1024
 """Number of cells of the Morton curve along each axis.

@@ -109,7 +109,8 @@ class KeepClear:
     measures
         Distances in the last tick [mm], shape (structures,). A value is never larger than the true
         distance. The error is at most the slack of the structure plus 0.001 mm if tool and
-        structure are apart, and at most the slack plus 0.01 mm if they overlap.
+        structure are apart, and at most the slack plus 0.01 mm if they overlap. The error is
+        larger if tens of thousands of triangles are equally near.
     notices
         Events, one sentence each. The loop removes an event when it logs the event.
     """

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from meshes.shapes.sdf import capsule, shape_triangles
 from tissue.cutters import profile
-from tissue.models.keep_clear import KeepClear, Structure
+from tissue.models.keep_clear import APART_M, KeepClear, Structure
 from tissue.models.tissue_model import ToolMotion
 
 SECTIONS = 128
@@ -34,6 +34,35 @@ def nerve(diameter_m):
     # made in metres it would have no ends: trimesh drops triangles that small
     made.apply_scale(1e-3)
     assert made.is_watertight
+    return made
+
+
+def tube(inner_mm, sections, rings):
+    """Return a tube along z whose inner facets touch the round one from outside.
+
+    The middle of a facet is at +x. The wall ends at a radius of 5 mm, and at heights of -8 and 8 mm.
+    """
+    inner = 1e-3 * inner_mm / np.cos(np.pi / sections)
+    heights = np.linspace(-8e-3, 8e-3, rings + 1)
+    profile_m = [(5e-3, z) for z in heights] + [(inner, z) for z in heights[::-1]]
+    angles = 2.0 * np.pi * (np.arange(sections) + 0.5) / sections
+    vertices = np.concatenate(
+        [
+            np.column_stack([r * np.cos(angles), r * np.sin(angles), z + 0 * angles])
+            for r, z in profile_m
+        ]
+    )
+    ring = sections * np.arange(len(profile_m))[:, None]
+    above = np.roll(ring, -1)
+    here = np.arange(sections)
+    after = np.roll(here, -1)
+    first = np.stack([ring + here, ring + after, above + here], axis=2)
+    second = np.stack([ring + after, above + after, above + here], axis=2)
+    faces = np.concatenate([first, second]).reshape(-1, 3)
+    made = trimesh.Trimesh(vertices, faces, process=False)
+    assert made.is_watertight
+    if made.volume < 0.0:
+        made.invert()
     return made
 
 
@@ -77,6 +106,38 @@ def test_ball_and_cylinder(diameter_mm):
         centre = np.array([apart * np.cos(angle), apart * np.sin(angle), along])
         found = frame(centre - turn.apply([0.0, 0.0, 1.5e-3]), turn)
         assert_safe(found, apart - 1.5e-3 - 0.5e-3 * diameter_mm)
+
+
+@pytest.mark.parametrize(("sections", "rings"), [(48, 1), (1000, 1), (24, 16), (64, 100)])
+@pytest.mark.parametrize("scale", [1.0, -0.8])
+def test_drill_in_a_tube(sections, rings, scale):
+    """On the axis and off it, in long and short triangles, in turned, scaled and mirrored frames.
+
+    On the axis, all facets of the tube are equally near.
+    """
+    made = tube(2.6, sections, rings)
+    # a negative scale mirrors the tube, and trimesh then turns the triangles
+    made.apply_scale(scale)
+    assert made.volume > 0.0
+    frame = Frame(sections, made, DRILL)
+    for aside in (0.0, 0.1e-3, 0.34e-3):
+        for height in (4e-3, 1e-3, -3e-3):
+            exact_mm = 2.6 * abs(scale) - 1e3 * aside - 1.0
+            found = frame([aside, 0.0, height])
+            assert exact_mm - 1e3 * APART_M - ABOVE_MM <= found <= exact_mm + ABOVE_MM
+
+
+def test_drill_in_a_tight_tube():
+    """The wall of the tube is 0.1 mm in the drill on all sides."""
+    frame = Frame(2, tube(0.9, 48, 1), DRILL)
+    for height in (4e-3, 0.0, -5e-3):
+        assert_safe(frame([0.0, 0.0, height]), -0.1e-3)
+
+
+def test_a_drill_in_a_very_fine_tube_is_never_reported_as_a_breach():
+    """The search then ends with a wider tolerance, on the safe side."""
+    found = Frame(4, tube(2.6, 128, 400), DRILL)([0.0, 0.0, -3e-3])
+    assert 1.6 - 0.2 <= found <= 1.6 + ABOVE_MM
 
 
 @pytest.mark.parametrize("diameter_mm", [1.0, 0.3])

@@ -85,7 +85,8 @@ def keep_clear(
         overlap_mm = 1e3 * (structure.slack_m + OVERLAP_M)
         notes[f"keep clear of {name}"] = (
             f"the distance in the trace is never too large. It is too small by at most "
-            f"{apart_mm:.2g} mm, and in a breach by at most {overlap_mm:.2g} mm"
+            f"{apart_mm:.2g} mm, and in a breach by at most {overlap_mm:.2g} mm. Both errors are "
+            "larger if tens of thousands of triangles are equally near"
         )
     return KeepClear(
         cutter.profile,
