@@ -1,7 +1,7 @@
 """Conversion of segmented teeth and soft organs to scenes.
 
-A tooth is cut by a bur. A soft organ consists of tetrahedra, may have parts, and is pressed by a
-ball.
+A tooth is cut by a bur. A soft organ is meshed with tetrahedra and pressed by a ball. It may have
+parts with their own moduli.
 """
 
 from dataclasses import replace
@@ -45,11 +45,12 @@ FRONT = (0.0, -1.0, 0.0)
 BALL_MM = 12.0
 DEPTH_MM = 4.0
 FEED_MM_S = 5.0
-"""Diameter of the ball [mm], depth [mm] and feed [mm/s] of the default press on an organ.
+"""Feed of the ball in the default press on an organ [mm/s].
 
-The depth is 0.67 times the radius of the ball. At this depth, the force of the linear model has an
-error of more than 10 % (`tissue.models.organ.model.LINEAR_ERROR`), and the run reports this error.
-At a depth of 2.2 mm the error is 5 %.
+`BALL_MM` is the diameter of the ball, and `DEPTH_MM` is the depth of the press. The depth is 0.67
+times the radius of the ball. At this depth, the force of the linear model has an error of more than
+10 % (`tissue.models.organ.model.LINEAR_ERROR`), and the run reports this error. At a depth of 2.2
+mm the error is 5 %.
 """
 
 

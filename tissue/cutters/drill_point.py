@@ -88,7 +88,7 @@ class DrillPoint:
 
     @property
     def indentation(self) -> float:
-        """Ratio of the thrust on the chisel edge to that on an edge with the reference rake."""
+        """Thrust on the chisel edge, divided by the thrust on an edge with the reference rake."""
         from scipy.optimize import brentq
 
         wedge = atan(tan(0.5 * self.point_angle_rad) * sin(CHISEL_ANGLE))

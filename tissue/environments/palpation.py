@@ -24,12 +24,13 @@ EDGE_M = 4e-3
 """Edge length of the tetrahedra [m]: half the radius of the ball and of the nodule."""
 NODULE_RADIUS_M = 8e-3
 NODULE_DEPTH_M = 13e-3
-"""Radius of the nodule, and depth of its centre [m]; the nodule lies 5 mm below the surface."""
+"""Depth of the nodule's centre [m]. The top of the nodule lies 5 mm below the surface."""
 MODULUS_KPA = 5.0
 NODULE_TIMES = 20.0
-"""Young's modulus used in the solution [kPa], and ratio of the nodule's modulus to it.
+"""Ratio of the nodule's Young's modulus to the modulus of the tissue.
 
-Forces are scaled to the modulus of the episode.
+The tissue is solved with the modulus `MODULUS_KPA`. The forces are then scaled to the modulus of
+the episode.
 """
 POISSON_RATIO = 0.45
 """Poisson's ratio of the simulated tissue.
@@ -42,8 +43,9 @@ REACH_M = 22e-3
 LOWEST_M = -3e-3
 START_M = 1e-3
 CEILING_M = 3e-3
-"""Lowest height of the tip, height at the start, and height at which the tip counts as lifted [m].
+"""Height of the tip above the surface at which the tip counts as lifted [m].
 
+`START_M` is the height at the start. `LOWEST_M` is the lowest height, which is below the surface.
 At the lowest height, the force of the linear elastic tissue differs by less than 5 % from the force
 of a hyperelastic tissue.
 """

@@ -75,12 +75,12 @@ class CuttingForward:
     record
         Geometry of the cut.
     coefficients
-        Cutting coefficients of each layer. Free constants replace their values in these
-        coefficients.
+        Cutting coefficients of each layer. In `loads`, the values of the free constants replace the
+        corresponding coefficients.
     free
         Free constants.
     times_s
-        Times of the loads on the clock of the poses [s], shape (n,).
+        Times of the loads [s], shape (n,), on the clock of the poses.
     notes
         Assumptions, in words.
     """
@@ -111,10 +111,11 @@ class CuttingForward:
         return np.stack(columns, axis=-1)
 
     def averaged_as(self, log: MeasuredLoads) -> tuple["CuttingForward", MeasuredLoads]:
-        """Return the cut with loads averaged like the samples of a log, and the log to compare.
+        """Return the cut with loads averaged like the samples of a log, and the adapted log.
 
         A sample of the log is a mean over a block of time. The loads of the cut are averaged over
-        blocks of the same duration, at three times the rate of the samples.
+        blocks of the same duration, at three times the rate of the samples. The returned log treats
+        its samples as values at one time, because the block is already averaged.
 
         A fit computes loads thousands of times, so the averages are computed once, before the fit.
         """
@@ -135,7 +136,7 @@ class CuttingForward:
         return replace(self, record=record, times_s=times_s), replace(log, within_s=(0.0,))
 
     def _with(self, x: Array) -> tuple[tuple[CuttingCoefficients, ...], Array]:
-        """Return the coefficients and the density factors of each layer.
+        """Return the cutting coefficients and the density factor of each layer.
 
         `x` contains the values of the free constants, shape (p,).
         """
@@ -273,8 +274,8 @@ TICKS = 60
 STEADY = slice(30, 60)
 """Ticks of a recorded cut over which the steady load is averaged.
 
-The first pose lies inside bone, so the tool begins in a cavity of its own shape. It has left this
-cavity before these ticks. `TICKS` is the number of ticks of a recorded cut.
+The first pose lies inside bone, so the tool begins in a cavity of its own shape. The tool has left
+this cavity before tick 30. `TICKS` is the number of ticks of a recorded cut.
 """
 TRAVEL = {"slot": 1.0, "plunge": 0.1}
 """Travel of the tool in each kind of recorded cut, relative to the radius of the tool.
@@ -323,7 +324,7 @@ def cutting_problem(
 
 
 def fixed_densities(scene: Scene, forward: CuttingForward) -> dict[str, float]:
-    """Return the reference densities at which the free coefficients are valid, by their names."""
+    """Return the reference densities, keyed by name, at which the free coefficients are valid."""
     fixed = {}
     for at in sorted({each.layer for each in forward.free if each.field != FACTOR}):
         layer = forward.record.layer_names[at]
@@ -360,7 +361,7 @@ def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
 
 
 def _second_of(like: CuttingForward, layer: int, steady: LayerLoads) -> CuttingForward:
-    """Return the loads of a log with 0.25 s in air and then 1 s of steady loads in one layer."""
+    """Return a cut with no load for 0.25 s, followed by 1 s of steady loads in one layer."""
     density = round(like.record.layers[layer].nodes.middle_kg_m3)
     ticks = np.repeat(steady.unit, LASTS, axis=2)
     ticks[:, :, :AIR] = 0.0

@@ -117,10 +117,11 @@ class Identified:
 def identified(posterior: Posterior) -> Identified:
     """Return the constants and the combinations that a log determines.
 
-    The combinations follow from the eigenvectors of the information of the log about z, the
-    standard normal numbers of the constants, with free nuisance parameters. Each eigenvector is the
-    gradient of a weighted mean of the loads with respect to z. The result describes this mean,
-    because its gradient may turn along a curve on which the mean is constant.
+    Let z be the standard normal numbers of the constants. The combinations follow from the
+    eigenvectors of the log's information about z with free nuisance parameters. Each eigenvector is
+    the gradient of a weighted mean of the loads with respect to z. A combination is evaluated as
+    this mean and not as a weighted sum of z, because the gradient may change along a curve on which
+    the mean is constant.
     """
     target = posterior.target
     contraction = posterior.spreads
@@ -145,10 +146,10 @@ def identified(posterior: Posterior) -> Identified:
 
 
 def _separated(target: Target, u: Array, noise: Unpacked) -> tuple[Array, Array]:
-    """Return the whitened derivatives of the loads by z, and their part that only z explains.
+    """Return the whitened derivatives of the loads by z, and the part that only z can explain.
 
-    This part is orthogonal to the derivatives by the offset and the biases, up to their priors.
-    Both results have the shape (m * channels, p).
+    Without priors of the clock offset and the biases, this part would be orthogonal to the
+    derivatives by the offset and the biases. Both results have the shape (m * channels, p).
     """
     columns = target.whitened(target.linearised(u)[1], noise)
     of_z = columns[:, : target.constants]

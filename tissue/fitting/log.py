@@ -33,7 +33,7 @@ from tissue.scene.scene import Scene
 from tissue.simulation.builders.parts import motion_of
 
 LARGEST = {"N": 1e5, "Nm": 1e4}
-"""Loads from which a log is refused, because its unit must be wrong [N, N m]."""
+"""Largest plausible loads [N, N m]; a log with larger loads is refused (wrong unit)."""
 FARTHEST_M = 10.0
 """Distance from the scene's origin beyond which a tool position is refused [m].
 
@@ -65,7 +65,7 @@ class MeasuredLog:
     Attributes
     ----------
     path
-        File.
+        File of the log.
     times_s
         Increasing times of the poses [s], shape (n,).
     tips_m
@@ -111,7 +111,7 @@ class MeasuredLog:
 
 
 def log_of(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> MeasuredLog:
-    """Return the log of a tool's poses and loads that the columns of a file hold.
+    """Return a log of a tool's poses and loads, read from the columns of a file.
 
     For a run's own trace, `columns` is not needed. If a trace holds ``model_force`` (the force of
     the tissue) and the force commanded to a device, ``model_force`` is used.
@@ -123,10 +123,10 @@ def log_of(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> Measur
     found
         Columns of the file.
     columns
-        ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT`` for quantities with another
-        name. A minus reverses the sign. If UNIT is not given, the unit is taken from the header of
-        the column, or else from NAME. ``NAME=NUMBER`` gives a constant, and ``time_s=RATE:Hz``
-        gives a rate in place of times.
+        ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT`` for quantities whose column
+        has another name. A minus reverses the sign. If UNIT is not given, the unit is taken from
+        the header of the column, or else from NAME. ``NAME=NUMBER`` gives a constant, and
+        ``time_s=RATE:Hz`` gives a rate in place of times.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def log_of(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> Measur
 
 
 def _require_motion(path: Path, values: Mapping[str, Array], asked: Mapping[str, str]) -> None:
-    """Refuse positions that seem to be in metres although their name is in millimetres."""
+    """Refuse positions that seem to be in metres although their name states millimetres."""
     spans = [float(np.ptp(values[name])) for name in TIPS if len(values.get(name, ()))]
     span_m = max(spans, default=0.0)
     if 0.0 < span_m < SHORTEST_PATH_M:
@@ -180,7 +180,7 @@ def _require_motion(path: Path, values: Mapping[str, Array], asked: Mapping[str,
 def _checked(
     path: Path, taken: dict[str, Array], names: Sequence[str], notes: list[str]
 ) -> MeasuredLog:
-    """Return a checked log of the columns that were read."""
+    """Check the quantities that were read, and return them as a log."""
     refuse = partial(refusal, path)
     wanted = ["time_s", *TIPS]
     if not taken.keys() & set(FORCES):  # one axis of a sensor is enough
@@ -251,7 +251,7 @@ def _checked(
 
 
 def _merge(taken: dict[str, Array], notes: list[str]) -> None:
-    """Average samples with equal times, in place. Of their orientations, the first one is kept."""
+    """Average samples with equal times, in place. Their first orientation is kept."""
     of_loads = "load_time_s" if "load_time_s" in taken else "time_s"
     clocks: dict[str, list[str]] = {"time_s": [], of_loads: []}
     for name in taken:

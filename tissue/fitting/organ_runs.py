@@ -30,7 +30,7 @@ from tissue.system.workers import worker_pool
 
 KEYS = "organ."
 PART = "organ.parts."
-"""Prefix of the names of moduli of parts.
+"""Prefix of the name of a modulus that belongs to a part of the organ.
 
 Like the names with the prefix `KEYS`, these names are keys of the scene and not constants of a
 material.
@@ -156,7 +156,7 @@ def _shape_prior(name: str, value: float) -> Prior | None:
 
 
 LAW_MS = 5.0
-"""Time between two solves of a hyperelastic law [ms]. It is the smallest value that a scene allows.
+"""Time between two solutions of a hyperelastic organ [ms]; the smallest value in a scene.
 
 A short time is needed because measured tissue has no latency.
 """
@@ -177,7 +177,7 @@ class Poses:
 class OrganRuns:
     """Runs of an organ along a log's poses.
 
-    Several runs use several processes.
+    Runs are distributed over several processes.
 
     Parameters
     ----------

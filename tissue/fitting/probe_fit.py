@@ -42,7 +42,7 @@ RESAMPLES = 1000
 The ends of a 90 % interval then have a standard error of 2 % of its width.
 """
 FINER = 1.5
-"""Ratio of the edge lengths of two meshes; their results differ by the error of the mesh.
+"""Ratio of the edge lengths of the two meshes that are compared to find the mesh error.
 
 The force converges with second order, so the difference is more than half of the error of the
 coarser mesh.
@@ -51,14 +51,15 @@ DETERMINED = 2.0
 """Largest ratio of the ends of an interval for which a constant counts as determined."""
 SEED = 42
 POOR = 0.03
-"""Smallest misfit of a fitted curve that a doubt reports (judgement).
+"""Misfit of a fitted curve above which a fit can be reported as poor (judgement).
 
 The interpolation of the forces has an error of 0.3 %, a tenth of this value.
 """
 SYSTEMATIC = 3.0
-"""Smallest ratio of the mean residual of presses to its standard error for a doubt (judgement).
+"""Limit of the ratio of a mean residual to its standard error (judgement).
 
-The ratio is about 1 if the residuals of different presses are independent.
+The mean is over presses. Above the limit, a fit can be reported as poor. The ratio is about 1 if
+the residuals of different presses are independent.
 """
 
 
@@ -85,7 +86,7 @@ class FittedCurve:
 
 
 def median_curve(forces_N: Array, draws: Ints | None = None) -> Array:
-    """Return the median of presses at each depth, shape (d,), or one row for each of `draws`."""
+    """Return the median of presses at each depth, shape (d,), or one row per row of `draws`."""
     chosen = forces_N if draws is None else forces_N[draws]
     return np.median(chosen, axis=-2)
 
@@ -132,11 +133,11 @@ class ProbeFit(Fitted):
     constants
         Modulus and shape constants, with 90 % intervals.
     force_N, bias_N
-        Fitted force at the depths of the table, including the bias [N], shape (d,), and the bias
-        [N].
+        Fitted force [N], shape (d,), at the depths of the table, including the bias; and the bias
+        [N] of the force sensor.
     misfit
-        Difference between the fitted curve and the median curve, divided by the median curve (L2
-        norms).
+        L2 norm of the difference between the fitted and the median curve, divided by the L2 norm of
+        the median curve.
     notes
         Findings and assumptions, in sentences.
     """
@@ -199,7 +200,7 @@ class ProbeFit(Fitted):
         return tuple(found)
 
     def _misfits(self) -> list[str]:
-        """Return sentences about an implausible zero, and about residuals with a pattern."""
+        """Return warnings about an implausible sensor bias, and about systematic residuals."""
         middle = median_curve(self.table.forces_N)
         smallest = float(np.abs(middle[self.table.depths_m > 0.0]).min())
         found = []
@@ -267,7 +268,7 @@ def presses_for(
     Raises
     ------
     InputError
-        If the columns cannot be read. If the table or the scene does not fit, one error contains
+        If the columns cannot be read, or the table cannot be fitted with the scene. The error lists
         all reasons.
     """
     presses, notes = read_presses(path, found, columns)

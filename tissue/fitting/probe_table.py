@@ -1,4 +1,4 @@
-"""Tables of the force of a probe by depth, without times, from several presses of one tissue."""
+"""Tables of probe force against depth, without times, from several presses of one tissue."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ FEWEST_STEPS = 4
 Press = tuple[Array, Array]
 """Rising depths [m] and forces [N] of one press."""
 SHORT = 0.9
-"""Limit of a press's largest depth, relative to the median; shallower presses are not used."""
+"""Ratio of a press's largest depth to the median over presses, below which it is not used."""
 
 
 @dataclass(frozen=True, eq=False)

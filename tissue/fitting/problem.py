@@ -63,10 +63,10 @@ def chosen(
     possible: Sequence[Parameter],
     tags: Mapping[str, str] | None = None,
 ) -> list[Parameter]:
-    """Return the parameters that patterns select; return all parameters without a pattern.
+    """Return the parameters that patterns select; if there is no pattern, return all parameters.
 
     A pattern consists of words separated by dots. The first word is the table of the constant. The
-    others are parts of its name, words of these parts, or its tag.
+    other words are parts of the constant's name, words within these parts, or the constant's tag.
 
     Parameters
     ----------
@@ -166,8 +166,8 @@ class MeasuredLoads:
 
         Outliers have little influence.
 
-        All channels with the same unit (N or N m) get the largest of their values. The root mean
-        square of a channel without load would be the size of its noise.
+        All channels with the same unit (N or N m) get the largest of their root mean squares.
+        Otherwise, a channel without load would get the size of its noise.
         """
         middle = np.nanmedian(self.values, axis=0)
         spread = SD_PER_MAD * np.nanmedian(np.abs(self.values - middle), axis=0)

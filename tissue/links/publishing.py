@@ -45,7 +45,7 @@ class RunPublisher(ABC):
         """Publish the remaining data and the end of the run."""
 
     def run(self) -> None:
-        """Publish until the ticks end."""
+        """Publish rows until the simulation computes no more ticks."""
         while not self._arrays["ended"][0]:
             self.step()
         self.end()

@@ -42,7 +42,7 @@ OFF = 0.01
 """Largest accepted deviation of R R^T from the identity, for a rotation R.
 
 Transforms in single precision have a deviation of 1e-7. A scale of 1 % has a deviation of 0.02, so
-the transform is ignored.
+a transform with such a scale is ignored.
 """
 FRAME_S = 0.02
 """Interval between two poses [s]. 50 poses per second appear as a continuous motion."""
@@ -53,7 +53,8 @@ SURFACE_S = 1.0
 
 `WORDS_S` and `STATUS_S` are the intervals between two texts of the force and between two states.
 
-A user cannot read a text that changes faster. Surfaces are the largest messages.
+Surfaces are rare because they are the largest messages. A user could not read texts that change
+faster.
 """
 WAIT_S = 0.005
 """Longest wait in a call of the server [s], a quarter of the interval between poses."""
@@ -283,7 +284,7 @@ class Publisher(RunPublisher):
         return messages
 
     def _surface_message(self) -> bytes:
-        """Return the current surface of the tissue; that of a bone has the layer at each point."""
+        """Return the current surface of the tissue; for bone, with the layer at each point."""
         tissue = self._tissue
         assert tissue is not None
         surface = tissue.surface

@@ -1,4 +1,4 @@
-"""Constants of a scene: constants of this package, or of a user's file that replaces them.
+"""Constants of a scene: constants of this package, or constants from a user's file.
 
 Constants of this package are called cited, because each has a source.
 """
@@ -138,8 +138,8 @@ class Materials:
         Parameters
         ----------
         layer_names
-            Enamel, dentin, caries, pulp and ligament have their own materials. Other layers use
-            `bone`.
+            Names of the layers. Enamel, dentin, caries, pulp and ligament have their own materials.
+            Any other layer has the material `bone`.
         changes
             Single constants that replace the material constants in all layers.
         bone
@@ -237,7 +237,7 @@ FITTED_KEYS = "# keys of the scene: --set "
 
 
 def _instead_of(text: str) -> str:
-    """Return the remedy for a file without constants, from the keys that its comment names."""
+    """Return advice for a file without constants, such as the scene keys to set instead."""
     for line in text.splitlines():
         if line.startswith(FITTED_KEYS):
             keys = line.removeprefix(FITTED_KEYS).replace(" --set ", " and ")

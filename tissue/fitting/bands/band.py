@@ -63,10 +63,10 @@ MOST_FAILED = 0.1
 If more samples failed, the ends of a 90 % band would describe only the remaining samples.
 """
 SAME = 3e-3
-"""Largest accepted difference between a run's and its band's loads, relative to the peak load.
+"""Largest accepted difference of a run's loads from the nominal loads of its band.
 
-The loads of a band are interpolated between tabulated chip thicknesses, which causes a small
-difference.
+The difference is relative to the peak load. It is not zero, because the loads of a band are
+interpolated between tabulated chip thicknesses.
 """
 SOBOL_ROWS = 512
 """Number of rows of each of the two samples from which the Sobol indices are computed.
@@ -86,7 +86,7 @@ class Band:
         Times of the ticks [s], shape (n,).
     nominal, quantiles
         Loads on the tool at the nominal values of the constants, shape (n, 8), and quantiles of the
-        loads at the five `LEVELS`, shape (5, n, 8). The last axis follows
+        loads at the five `LEVELS`, shape (5, n, 8). The last axis holds the components in
         `tissue.fitting.bands.sample_loads.CHANNELS`.
     constants, values
         Names of the constants that vary, and their values in each sample, shape (samples, p).
@@ -97,7 +97,8 @@ class Band:
     numbers
         Index of each sample in `files`, shape (samples,).
     files
-        File of materials of every sample, including failed samples. Empty for a band that was read.
+        Text of the materials file of each sample, including failed samples. Empty if the band was
+        read from a folder.
     summary
         Content of ``summary.json`` under the key ``band``.
     """
@@ -135,8 +136,8 @@ def require_band(
     ------
     InputError
         If the number of samples is not between 16 and 65536, or an option has no effect. `workers`
-        has no effect if the samples are not run, or if `scheduler` is given. `each_run` has no
-        effect for a scene that always needs a run of each sample.
+        has no effect if `scheduler` is given, or if the loads of all samples follow from one run.
+        `each_run` has no effect for a scene that always needs a run of each sample.
     """
     rounded(asked)
     if workers is not None:
@@ -240,7 +241,7 @@ def band_of(
 def _samples(
     scene: Scene, ranges: Ranges, asked: int, seed: int
 ) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return independent normal numbers, values of the constants, and files of the samples."""
+    """Return standard normal numbers, constants and materials files of all samples."""
     if not ranges.names:
         raise InputError(
             "band",
@@ -375,15 +376,14 @@ SAMPLES = "band/samples.csv"
 SEPARATOR = "|"
 """Separator between the parts of a figure's name in the header of the table of samples.
 
-The separator is not a dot, because the name of a layer or the sentence of an event may contain a
-dot.
+The separator is not a dot, because the name of a layer or the text of an event may contain a dot.
 """
 
 
 def save_band(band: Band, folder: Path, *, kind: str | None) -> None:
     """Write a band into the folder of its run and replace an earlier band.
 
-    Pictures are drawn if `kind` names their format.
+    `kind` is the format of the pictures. If it is None, no pictures are drawn.
 
     Raises
     ------

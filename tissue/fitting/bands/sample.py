@@ -21,9 +21,9 @@ from tissue.scene.used_constants import used_constants
 
 LEAST = 16
 MOST = 65536
-"""Largest number of samples of a band. `LEAST` is the smallest number.
+"""Largest number of samples of a band.
 
-With fewer than 16 samples, no sample lies outside the 90 % band.
+`LEAST` is the smallest number, 16. With fewer samples, no sample would lie outside the 90 % band.
 
 At 16,384 samples, the sampling error of a 95 % quantile is 0.12 % (``tests/bench/bench_band.py``).
 More than 65,536 samples would only cost time.
@@ -51,7 +51,7 @@ class Ranges:
 
     @cached_property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Indices of the constants in each group that is correlated, directly or indirectly."""
+        """Indices of the constants in each group of directly or indirectly correlated constants."""
         labels = connected_components(self.correlation != 0.0, directed=False)[1]
         return tuple(
             tuple(np.flatnonzero(labels == label).tolist())
@@ -192,12 +192,12 @@ With 400 draws, the probability beyond each end, which should be 5 %, has a stan
 def sobol_indices(
     figures: Callable[[Array], Array], groups: tuple[tuple[int, ...], ...], *, count: int, seed: int
 ) -> Array:
-    """Compute first-order and total indices of a function of standard normal numbers.
+    """Compute first-order and total Sobol indices of a function of standard normal numbers.
 
-    The numbers are independent. Two samples A and B are drawn. For every group, a third sample is A
-    with the columns of the group taken from B. First-order indices use the formula of Saltelli et
-    al. (2010, Comput. Phys. Commun. 181:259, table 2 b). Total indices use the formula of Jansen
-    (table 2 f in the same paper).
+    The numbers are independent. Two samples A and B are drawn. For each group of constants, a third
+    sample is a copy of A in which the columns of this group are taken from B. First-order indices
+    use the formula of Saltelli et al. (2010, Comput. Phys. Commun. 181:259, table 2 b). Total
+    indices use the formula of Jansen (table 2 f in the same paper).
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def sobol_indices(
 
 
 def _with_ends(whole: Array, drawn: list[Array]) -> Array:
-    """Return indices and the ends of their 90 % intervals over resampled rows, on the axis 1."""
+    """Return Sobol indices and the ends of their 90 % bootstrap intervals, stacked along axis 1."""
     ends = np.quantile(np.array(drawn), (0.05, 0.95), axis=0)
     return np.stack([whole, *ends], axis=1)
 
@@ -254,7 +254,7 @@ If this share is smaller, more than a fifth of the variance is attributed to no 
 wrong constant.
 """
 RIDGES = 10.0 ** np.arange(-6, 3)
-"""Ridge parameters that are compared, relative to the unit variance of the polynomials.
+"""Ridge parameters that are compared; the terms of the polynomial have unit variance.
 
 With the smallest parameter the surrogate interpolates the runs. With the largest parameter it is
 almost constant.
@@ -308,9 +308,9 @@ def surrogate_indices(
 
 
 def _terms(width: int) -> list[tuple[int, ...]]:
-    """Return the columns that each polynomial term multiplies: one column, squares and pairs.
+    """Return the column indices of each polynomial term: single columns, squares and pairs.
 
-    A square contains its column twice.
+    The term of a square contains the index of its column twice.
     """
     places = range(width)
     return [*((at,) for at in places), *((at, at) for at in places), *combinations(places, 2)]

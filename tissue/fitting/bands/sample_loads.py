@@ -1,4 +1,4 @@
-"""Loads and figures for samples of constants, from reweighed loads or from one run per sample."""
+"""Loads and figures of samples, computed from the unit loads of one run or by a run per sample."""
 
 import re
 from collections.abc import Iterator
@@ -36,7 +36,7 @@ CHANNELS = (
 """Components and magnitudes of the model's loads on the tool, in the world frame."""
 DENSITY = "density.bone"
 BLOCK = 500_000
-"""Number of loads that are in memory at once: 4 MB, about the size of a cache."""
+"""Number of loads that are in memory at once: 4 MB, about the size of a processor cache."""
 LAW = re.compile(r"median ([\d.]+) kg/m3, 90 % between ([\d.]+) and ([\d.]+)")
 
 
@@ -72,7 +72,7 @@ class Reweighed:
         return ranges_of(self.record.scene, met, table="cutting.", further=further)
 
     def coefficients(self, x: Array) -> tuple[CuttingCoefficients, ...]:
-        """Return the cutting coefficients of each layer for the constants `x`, shape (p,)."""
+        """Return the cutting coefficients of each layer for constants `x` of shape (p,)."""
         cutting = self.record.scene.cutting
         changes = cutting.model_dump(exclude={"material"})
         held = sampled(self.record.scene.constants, self.ranges.names, x)
@@ -83,9 +83,9 @@ class Reweighed:
         return np.array([prior.value for prior in self.ranges.priors])
 
     def weights(self, x: Array) -> Array:
-        """Return the factors by which all unit loads are multiplied, shape (samples, units).
+        """Return the factors, shape (samples, units), by which the unit loads are multiplied.
 
-        The constants `x` of the samples have shape (samples, p). The unit loads are those of
+        The constants `x` of the samples have shape (samples, p). Unit loads are described in
         `tissue.simulation.load_record.LayerLoads`.
         """
         layers = len(self.record.layer_names)
@@ -100,7 +100,7 @@ class Reweighed:
         return np.array(rows)
 
     def figures(self, x: Array) -> Array:
-        """Return the figures `LOADS` for the constants `x` of samples, shape (samples, 4)."""
+        """Return the figures `LOADS`, shape (samples, 4), for the constants `x` of each sample."""
         weights = self.weights(x)
         peak = np.zeros((len(x), 2))
         sums = np.zeros((len(x), 2))
@@ -149,7 +149,7 @@ def with_sizes(loads: Array) -> Array:
 
 
 def density_prior(law: str) -> Prior | None:
-    """Return the prior of a density factor from a note on the law that converts CT to density.
+    """Return the prior of a layer's density factor, read from a note on the CT-to-density law.
 
     The result is None if the note describes no law. The note gives the median density and its 90 %
     range. The relative range is applied to every voxel.
@@ -192,7 +192,7 @@ def figures_of(run: Run) -> dict[Figure, float]:
 
     The figures are loads, volumes, contact, clearances, largest temperature and stress, and events.
     An event is named by its sentence without numbers, and only its first occurrence counts. Events
-    about a machine that was too slow are left out.
+    that report that the computer was too slow are left out.
     """
     summary = run.summary
     trace = run.trace
@@ -329,7 +329,7 @@ class Workers:
 def reruns(
     scene: Scene, files: tuple[str, ...], *, workers: Workers, report: Progress
 ) -> Iterator[tuple[int, Outcome]]:
-    """Run a scene with each file of materials, and yield number and outcome when a run ends.
+    """Run a scene with each materials file, and yield its number and outcome when the run ends.
 
     Raises
     ------
@@ -366,7 +366,7 @@ def reruns(
 def _outcome(scene: Scene, compute: str, sample: tuple[int, str]) -> Outcome:
     """Run the scene with the constants of a sample, and return the outcome.
 
-    `sample` contains the number of the sample and its file of materials.
+    `sample` contains the number of the sample and the text of its materials file.
     """
     with TemporaryDirectory(prefix="tissue-band-") as name:
         path = Path(name, "sample.toml")

@@ -118,7 +118,7 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
 
 
 def _margin_text(kept: Summary) -> str:
-    """Return whether a tool kept the margin of a structure; empty without a margin."""
+    """Return a text on whether a tool kept its margin to a structure; empty without a margin."""
     if "margin_mm" not in kept:
         return ""
     if (first_s := kept["first_below_margin_s"]) is None:
@@ -305,8 +305,8 @@ def _band_text(band: Summary) -> str:
 def band_lines(band: Summary) -> Iterator[str]:
     """Yield sentences about an uncertainty band.
 
-    They state the number of samples, the 90 % intervals of figures, and the samples that are left
-    out.
+    The sentences state the number of samples, the 90 % intervals of figures, and the names of
+    failed samples, which are left out.
     """
     yield _band_text(band)
     for name, ends in band.items():

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     import pyvista
 
 TETRAHEDRON = 10
-"""VTK's number of the cell type."""
+"""VTK's number of the cell type tetrahedron."""
 AMBIENT = 0.78
 DIFFUSE = 0.25
-"""Diffuse light on a field.
+"""Diffuse light on a mesh that is coloured by a field.
 
-The shade shows the shape, but the colours still agree with the scale.
+The light is weak. It shows the shape, but the colours still match the colour scale.
 """
 SHOWN = "shown"
 """Name of the array that is drawn."""

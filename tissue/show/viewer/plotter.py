@@ -17,9 +17,9 @@ their arguments.
 STILL_PX = 2
 """Largest motion of the mouse during a click [pixels], because hands are never still."""
 KEPT = tuple("eqrsw")
-"""Keys of VTK that are kept: leave (e, q), reset the camera, surfaces, wireframe."""
+"""VTK keys that stay active: exit (e, q), camera reset (r), surfaces (s), wireframe (w)."""
 ROTATE = 1
-"""VTK's number of the state in which the left button rotates the camera."""
+"""VTK's number of the interactor state in which the left button rotates the camera."""
 
 
 def in_words(vector: ArrayLike, digits: int = 2) -> str:

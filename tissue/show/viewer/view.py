@@ -281,9 +281,10 @@ def show(
 PAGE = "tissue.show.viewer.web.view_page"
 OPENS_S = 120.0
 CLOSES_S = 10.0
-"""Longest time until a page is served, and until it is closed [s].
+"""Longest time until a page is closed [s].
 
-The first time is long because a large run is read and drawn before its page is served.
+`OPENS_S` is the longest time until a page is served. It is long because a large run is read and
+drawn before its page is served.
 """
 
 

@@ -36,7 +36,7 @@ BORDER = 0.02
 """Free border of a clean picture before it is cropped, relative to its edges."""
 FINE = 2
 AROUND_PX = 8
-"""Pixels of a clean picture per pixel of the window, and margin around the content [pixels]."""
+"""Margin around the content of a clean picture [pixels]."""
 
 
 def add_scale_bar(plotter: Plotter) -> None:
@@ -85,8 +85,7 @@ MP4 and GIF support this rate. A GIF counts time in 1/100 s.
 """
 SHORTEST_S = 4.0
 LONGEST_S = 12.0
-"""Shortest and longest duration of a movie [s]; shorter and longer runs are played slower or
-faster.
+"""Longest duration of a movie [s]; `SHORTEST_S` is the shortest.
 """
 KINDS = (".mp4", ".gif")
 

@@ -1,4 +1,4 @@
-"""Scene of a live run in a plotter: tissue, tool, force and mark of the device."""
+"""Scene of a live run in a plotter: tissue, tool, force and a mark at the device position."""
 
 import json
 from dataclasses import dataclass
@@ -89,7 +89,7 @@ class Readings:
 
 
 def read_start(folder: Path) -> tuple[Scene, Start]:
-    """Read the scene and the initial data that the process of the ticks wrote to a folder."""
+    """Read the scene and the initial data from the folder of the simulation process."""
     with np.load(folder / "start.npz", allow_pickle=False) as file:
         start: Start = dict(file)
     return Scene.read_back((folder / "scene.json").read_text("utf-8")), start
@@ -106,7 +106,7 @@ ORGAN = "#CC8E7D"
 
 
 class LiveScene:
-    """Drawn objects of a live run: tissue, tool, force, coupling spring and mark of the device.
+    """Drawn objects of a live run: tissue, tool, force, coupling spring and device position.
 
     Parameters
     ----------
@@ -261,7 +261,7 @@ class LiveScene:
         self._cut.SetNormal(*normal)
 
     def _add_tool(self) -> None:
-        """Add the tool, the mark of the device and the spring between them."""
+        """Add the tool, a mark at the device position, and the spring between them."""
         import pyvista
 
         size_mm = float(np.linalg.norm(np.ptp(self.points_mm, axis=0)))
@@ -291,7 +291,7 @@ def add_organ(plotter: Plotter, organ: OrganSurface) -> None:
 
 NOTCH_MM = 0.5
 KEY_MM = 0.5
-"""Travel for a notch of the wheel and for a key press [mm], a fraction of a small burr."""
+"""Travel per notch of the mouse wheel or key press [mm]: a fraction of a small burr's diameter."""
 KEYS = {
     "Left": (-1.0, 0.0, 0.0),
     "Right": (1.0, 0.0, 0.0),
@@ -300,7 +300,7 @@ KEYS = {
     "s": (0.0, 0.0, -1.0),
     "w": (0.0, 0.0, 1.0),
 }
-"""Directions to the right and upward in the view, and outward along the tool, keyed by key."""
+"""Direction of each key: right and up in the view, and outward along the tool."""
 SAME_KEYS = {"Next": "s", "PageDown": "s", "Prior": "w", "PageUp": "w"}
 """Other names of keys in `KEYS`, in VTK and in browsers."""
 
