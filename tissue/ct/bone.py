@@ -1,7 +1,7 @@
 """Conversion of a bone in a CT to a scene.
 
-The bone is cropped, and selected by a label or a threshold. The scene contains its density, its
-site (the place where the tool works) and its surroundings.
+The bone is cropped, and selected by a label or a threshold. The scene contains the density of the
+bone, the site (the place where the tool works) and the surroundings.
 """
 
 from collections.abc import Mapping

@@ -26,7 +26,7 @@ CONVEX = 1e-9
 
 
 def body_points(profile: Profile, *, spacing_m: float) -> Array:
-    """Return points of a body of revolution for pictures and bounding boxes [m], shape (n, 3).
+    """Return points [m], shape (n, 3), of a body of revolution for pictures and bounding boxes.
 
     The origin is at the tip. The points lie on the cutting and the smooth surface up to the top of
     the profile, and on a lattice inside. They also lie on each circle around the axis at which the
@@ -108,7 +108,7 @@ def outline_table(profile: Profile) -> OutlineTable:
 
 
 def _row(piece: Piece) -> list[float]:
-    """Return one piece as ten numbers."""
+    """Return one piece as a row of `OutlineTable.shape`."""
     if isinstance(piece, Arc):
         half = 0.5 * (piece.last - piece.first)
         angles = np.array([piece.first + half, piece.first, piece.last])

@@ -234,9 +234,9 @@ class Cutter:
 
 _tables: Kept[DistanceTable] = Kept(8)
 _shells: Kept[PointShell] = Kept(8)
-"""Cache of point shells, by profile and spacing of elements.
+"""Cache of point shells, keyed by profile and spacing of elements.
 
-`_tables` is the cache of distance tables, by profile and spacing of voxels.
+`_tables` is the cache of distance tables, keyed by profile and spacing of voxels.
 """
 
 

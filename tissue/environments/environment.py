@@ -112,7 +112,7 @@ class RestorableBone:
 
 
 FORCE_WEIGHT = 1.0
-"""Penalty for a force of twice the limit during a whole episode."""
+"""Penalty for an episode in which the force is always twice the limit."""
 TIME_WEIGHT = 0.1
 """Penalty for the time of a whole episode.
 

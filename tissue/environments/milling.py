@@ -63,9 +63,10 @@ class Milling(ContactEnvironment):
         P = (volume removed of the target - volume removed beyond the tolerance)
             / volume of the target
 
-    ``reward_terms`` contains the two parts of the potential as ``progress`` and ``overcut``. No
-    policy scores above 1; without any action the score is -0.1. An episode ends when 99 % of the
-    target are removed, and is truncated after 12 s. Force above 20 N reduces the reward.
+    ``reward_terms`` contains the two parts of the potential as ``progress`` and ``overcut``. The
+    score is the sum of rewards in an episode. It is at most 1; without any action it is -0.1. An
+    episode ends when 99 % of the target are removed, and is truncated after 12 s. Force above 20 N
+    reduces the reward.
 
     Parameters
     ----------

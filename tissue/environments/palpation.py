@@ -80,10 +80,10 @@ class Palpation(ContactEnvironment):
         P = max(0, 1 - d / 10 mm)
 
     Here d is the lateral distance between tip and nodule. The potential is 0 at the start, and is
-    the entry ``progress`` of ``reward_terms``. No policy scores above 1; without any action the
-    score is -0.1. An episode ends when the tip has touched the tissue and is again 3 mm above the
-    surface. An episode is truncated after 6 s. The position of the tip at the end is the estimate
-    of the nodule's position. Force above 0.4 N reduces the reward.
+    the entry ``progress`` of ``reward_terms``. The score is the sum of rewards in an episode. It is
+    at most 1; without any action it is -0.1. An episode ends when the tip has touched the tissue
+    and is again 3 mm above the surface. An episode is truncated after 6 s. The position of the tip
+    at the end is the estimate of the nodule's position. Force above 0.4 N reduces the reward.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ FIELDS = {
     "size_exponent": ("size_exponent", 1.0),
     "minimum_chip_um": ("minimum_chip_m", UM),
 }
-"""Field of `CuttingCoefficients` and factor to the unit of this field, for each constant."""
+"""For each constant: field of `CuttingCoefficients`, and factor that converts to its unit."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class FreeConstant:
 
 @dataclass(frozen=True, eq=False)
 class CuttingForward:
-    """Loads of a recorded cut as a function of its free constants, see `Forward`.
+    """Loads of a recorded cut as a function of free constants, see `Forward`.
 
     Attributes
     ----------
@@ -174,9 +174,9 @@ def cutting_forward(
         Tips [m], shape (n, 3), and orientations (x, y, z, w), shape (n, 4), of the tool in the
         scene's frame.
     free
-        Free constants: full names, or a table with parts of the name, such as
-        ``cutting.trabecular``, ``cutting.edge`` or ``cutting.trabecular.radial``. Default: all
-        constants that have a range and are not set by the scene. An uncertainty band varies the
+        Selection of the free constants: full names, or the table followed by parts of the name,
+        such as ``cutting.trabecular``, ``cutting.edge`` or ``cutting.trabecular.radial``. Default:
+        all constants that have a range and are not set by the scene. An uncertainty band varies the
         same constants. The density exponent is free only if a density differs from the reference
         density of the coefficients. The factor on each layer's density is always free.
     cores
@@ -339,7 +339,8 @@ def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
     Parameters
     ----------
     like
-        Cut of the log. Its tool, touched layers, feed during cutting and free constants are used.
+        Cut of the log. The candidates use the tool, the touched layers, the feed and the free
+        constants of this cut.
     """
     tool = like.record.scene.tool
     assert isinstance(tool, Tool)

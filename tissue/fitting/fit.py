@@ -1,4 +1,4 @@
-"""Constants of a scene from a measured force log, or from a table of steady loads."""
+"""Fit of a scene's constants to a measured force log, or to a table of steady loads."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -47,7 +47,7 @@ class SceneFit(Fitted):
     posterior
         Posterior of the constants given the log.
     identified
-        Constants and combinations that the log determines.
+        Constants, and combinations of constants, that the log determines.
     gains
         Expected information gains of logs that could be measured next, the largest first.
     block_s
@@ -109,7 +109,8 @@ class SceneFit(Fitted):
 
     @property
     def verdicts(self) -> list[str]:
-        """See `Fitted`; also sentences on combinations, priors and the log to measure next."""
+        """Sentences of `Fitted`, and sentences on combinations of constants, priors and the next
+        log."""
         found = super().verdicts
         for combined in self.identified.combinations[:SHOWN]:
             # A constant whose prior has the median 0 has no weight over that median.

@@ -97,7 +97,7 @@ def write_fit(fit: Fitted, folder: Path, *, overwrite: bool) -> None:
     folder
         Output folder for `FILES`.
     overwrite
-        Replace another fit in the folder.
+        True to replace another fit in the folder.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def write_fit(fit: Fitted, folder: Path, *, overwrite: bool) -> None:
 
 
 def _write_constants(fit: Fitted, path: Path, digest: str) -> None:
-    """Write the file for scenes: constants of the material with their correlation."""
+    """Write the fitted material constants and their correlation to a file that a scene can use."""
     reservations = {
         "at its prior": ", which does not narrow the cited range",
         "doubtful": ", doubtful: it contradicts the cited range or the clocks of the log",

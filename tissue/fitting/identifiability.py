@@ -49,7 +49,7 @@ prior.
 
 @dataclass(frozen=True)
 class Combination:
-    """Weighted sum of constants that a log determines better than any single constant.
+    """Weighted sum of constants; a log determines this sum better than any single constant.
 
     An example is the sum of a chip and an edge coefficient at one feed. The sum approximates a
     weighted mean of loads near the fitted values.
@@ -57,8 +57,8 @@ class Combination:
     Attributes
     ----------
     weights
-        Weight by name of the constant. A weight applies to the constant divided by the median of
-        its prior. The absolute weights sum to 1.
+        Weights, keyed by the name of the constant. A weight applies to the constant divided by the
+        median of its prior. The absolute weights sum to 1.
     value, low, high
         Median, 5 and 95 % quantiles.
     contraction
@@ -87,8 +87,8 @@ class Identified:
         Standard deviation of the standard normal number of each constant after the fit, shape
         (p,). It is 1 before the fit.
     eigenvalues
-        Eigenvalues of the information of the log relative to the information of the prior, shape
-        (p,), largest first.
+        Eigenvalues of the log's information relative to the prior's information, shape (p,),
+        largest first.
     combinations
         Combinations that are known better than their single constants.
     """
@@ -224,19 +224,20 @@ class Gain:
 def expected_information(
     posterior: Posterior, candidates: Mapping[str, Forward], *, among: Sequence[int] = ()
 ) -> list[Gain]:
-    """Return the expected information of candidate logs, largest first.
+    """Return the expected information gains of candidate logs, largest first.
 
-    The candidates are assumed to have the same noise as the measured log. The information is half
-    the logarithm of the determinant of I + C M. I is the identity, and C is the present covariance
-    of the standard normal numbers z. M is the Fisher information of the candidate with an unknown
-    bias (Chaloner and Verdinelli 1995, linearised at the maximum).
+    The candidates are assumed to have the same noise as the measured log. The information gain is
+    0.5 ln det(I + C M). I is the identity, and C is the present covariance of the standard normal
+    numbers z. M is the Fisher information of the candidate with an unknown bias (Chaloner and
+    Verdinelli 1995, linearised at the maximum).
 
     Parameters
     ----------
     posterior
         Posterior of the measured log.
     candidates
-        Name and forward model of each candidate log, with the same constants.
+        Forward model of each candidate log, keyed by name. Each model has the constants of
+        `posterior`.
     among
         Indices of the constants among which the widest interval is searched. Default: all
         constants.

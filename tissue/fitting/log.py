@@ -292,7 +292,7 @@ PLATEAU = 10
 In a channel with noise, so many equal consecutive samples are unlikely.
 """
 SHARPER = 5
-"""Smallest ratio of the length of a plateau to the lengths of the plateaus before and after it.
+"""Factor by which a saturated plateau is longer than the plateaus before and after it.
 
 The peak of a signal with coarse steps stays below this ratio.
 """

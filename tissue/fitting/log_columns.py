@@ -108,7 +108,7 @@ def quantities(
 
 
 def column_for(name: str, measure: str, names: Sequence[str]) -> str | None:
-    """Return the only column that holds a quantity according to its header, or None."""
+    """Return the column whose header fits a quantity; None if no or several headers fit."""
     found = column_of(name, measure, names)
     if found is not None:
         return found

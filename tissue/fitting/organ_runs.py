@@ -1,4 +1,4 @@
-"""Constants of an organ and of its contact that a log may determine, and runs of the organ."""
+"""Constants of an organ and its contact that a fit can estimate, and runs of the organ."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

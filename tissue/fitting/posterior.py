@@ -47,8 +47,8 @@ are usually enough.
 STEEP = 1e-3
 """Increase of the log density in a round, below which a maximum counts as found.
 
-The numbers are then closer to the maximum than a tenth of a standard deviation. This is small
-compared with an interval, which is 3.3 standard deviations wide.
+The estimated constants are then closer to the maximum than a tenth of a standard deviation. This is
+small compared with an interval, which is 3.3 standard deviations wide.
 """
 
 
@@ -68,8 +68,8 @@ class Posterior:
     converged
         True if a maximum was found.
     mesh_z
-        Shift of the constants by the error of the mesh of the runs, in their standard normal
-        numbers, shape (p,). The shift widens the intervals. None if the loads have no mesh.
+        Shift of the constants due to the mesh error of the runs, as standard normal numbers, shape
+        (p,). The shift widens the intervals. None if the loads have no mesh.
     """
 
     target: Target
@@ -95,14 +95,15 @@ class Posterior:
 
     @property
     def covariance_z(self) -> Array:
-        """Covariance of the constants' normal numbers with free nuisances, shape (p, p)."""
+        """Covariance, shape (p, p), of the constants' normal numbers with free nuisance
+        parameters."""
         p = self.target.constants
         found = self.covariance[:p, :p]
         return found if self.mesh_z is None else found + np.outer(self.mesh_z, self.mesh_z)
 
     @property
     def nuisances(self) -> Unpacked:
-        """Offset, biases and noise at the maximum."""
+        """Clock offset, sensor biases and noise at the maximum."""
         return self.target.unpacked(self.maximum)
 
     @cached_property

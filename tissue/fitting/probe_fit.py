@@ -1,11 +1,12 @@
 """Fit of an elastic law to presses of a probe, for tables without times.
 
-The median of the presses at each depth is fitted by least squares. The free constants are Young's
-modulus, the shape constants of the law and the bias of the force sensor, which is the same at all
-depths. The presses differ by far more than the noise of the sensor, so the intervals follow from
-the scatter of the presses. For this purpose, the presses are resampled with replacement and fitted
-again (bootstrap, Efron 1979, Ann. Stat. 7:1). The error of the mesh is added to the intervals. This
-error is the shift of the constants in a fit on a mesh with two thirds of the edge lengths.
+The median force of the presses at each depth is fitted by least squares. The free constants are
+Young's modulus, the shape constants of the law and the bias of the force sensor, which is the same
+at all depths. The presses differ by far more than the noise of the sensor, so the intervals follow
+from the scatter of the presses. For this purpose, the presses are resampled with replacement and
+fitted again (bootstrap, Efron 1979, Ann. Stat. 7:1). The error of the mesh is added to the
+intervals. This error is the shift of the constants in a fit on a mesh with two thirds of the edge
+lengths.
 """
 
 from collections.abc import Mapping, Sequence

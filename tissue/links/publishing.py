@@ -12,7 +12,7 @@ from tissue.system.child import own_process
 
 
 class RunPublisher(ABC):
-    """Publisher of the rows of a live run.
+    """Publisher of the trace rows of a live run.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ class RunPublisher(ABC):
     Attributes
     ----------
     address
-        Address or topics at which the data is available. The run reports them to the user.
+        Address or topics at which the data is available. The run shows this text to the user.
     """
 
     address = ""

@@ -169,7 +169,7 @@ def band_of(
     cores: int | None = None,
     progress: Progress = silent,
 ) -> Band:
-    """Compute the band of a scene's loads and figures.
+    """Compute the uncertainty band of a scene's loads and summary values.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def band_of(
         samples instead of local processes.
     each_run
         True to run every sample, even if the loads of all samples can be computed from the recorded
-        loads of one run. Needed for figures that are not linear in the constants, such as
+        loads of one run. Needed for summary values that are not linear in the constants, such as
         temperature and stress.
     compute, cores, progress
         As for `tissue.simulate`.
@@ -255,9 +255,9 @@ def _samples(
 
 
 def _about(ranges: Ranges, indices: Array, figures: tuple[Figure, ...]) -> Summary:
-    """Return a summary of the constants, and of the Sobol indices by figure and group of constants.
+    """Return a summary of the constants, and the Sobol indices of each summary value.
 
-    Figures that do not vary are left out.
+    The indices are keyed by the group of constants. Summary values that do not vary are left out.
     """
     constants = {
         name: {"value": prior.value, "low": prior.low, "high": prior.high}
@@ -374,7 +374,7 @@ def require_same(band: Band, loads: Array) -> None:
 OVER_TIME = "band.csv"
 SAMPLES = "band/samples.csv"
 SEPARATOR = "|"
-"""Separator between the parts of a figure's name in the header of the table of samples.
+"""Separator between the parts of a summary value's name in the header of a table of samples.
 
 The separator is not a dot, because the name of a layer or the text of an event may contain a dot.
 """

@@ -1,4 +1,4 @@
-"""Constants that vary, and samples of them by quasi-Monte Carlo."""
+"""Constants that vary in an uncertainty band, and quasi-Monte Carlo samples of these constants."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -32,7 +32,7 @@ More than 65,536 samples would only cost time.
 
 @dataclass(frozen=True, eq=False)
 class Ranges:
-    """Constants that vary.
+    """Constants that vary in an uncertainty band.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ def ranges_of(
     table: str = "",
     further: Mapping[str, Prior] | None = None,
 ) -> Ranges:
-    """Return the constants that a scene uses, that have a range, and that the scene does not set.
+    """Return the constants of a scene that have a range and are not set by the scene itself.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def ranges_of(
     table
         Only constants whose names begin with this text are returned.
     further
-        Priors of numbers that vary in addition to these constants, by name.
+        Priors of further numbers that vary, keyed by name.
     """
     priors = {
         one.full: Prior.of(one.cited, one.full)
@@ -202,7 +202,8 @@ def sobol_indices(
     Parameters
     ----------
     figures
-        Function from numbers of shape (n, p) to figures of shape (n, figures).
+        Function that maps normal numbers, shape (n, p), to n rows of values, shape (n, figures).
+        Indices are computed for each column of values.
     groups
         Columns of each group. Every column belongs to one group.
     count
@@ -211,9 +212,9 @@ def sobol_indices(
 
     Returns
     -------
-    Influence of each group of constants on each figure, shape (2, 3, groups, figures). The first
+    Influence of each group of constants on each value, shape (2, 3, groups, figures). The first
     axis is first-order and total index. The second axis is the index and the two ends of its 90 %
-    bootstrap interval. NaN for a figure that does not vary.
+    bootstrap interval. The indices of a value that does not vary are NaN.
     """
     width = sum(map(len, groups))
     both = normals(count, 2 * width, seed=seed)
@@ -260,13 +261,13 @@ With the smallest parameter the surrogate interpolates the runs. With the larges
 almost constant.
 """
 REFITS = 100
-"""Number of bootstrap draws of a surrogate: fewer than `DRAWS`, because each needs a fit."""
+"""Number of bootstrap draws of a surrogate: fewer than `DRAWS`, because each draw needs a fit."""
 
 
 def surrogate_indices(
     free: Array, figures: Array, groups: tuple[tuple[int, ...], ...], *, seed: int
 ) -> tuple[Array, Array]:
-    """Return the Sobol indices of figures, and the share of variance that a polynomial explains.
+    """Return Sobol indices of summary values, and the share of variance that a polynomial explains.
 
     The indices have the form of `sobol_indices`.
 
@@ -279,7 +280,7 @@ def surrogate_indices(
     free
         Independent standard normal numbers of each run, shape (n, p).
     figures
-        Figures of each run, shape (n, figures).
+        Summary values of each run, shape (n, figures).
     groups
         Columns of each group. Every column belongs to one group.
     """

@@ -1,4 +1,4 @@
-"""Loads and figures of samples, computed from the unit loads of one run or by a run per sample."""
+"""Loads and summary values of samples, from the unit loads of one run or from a run per sample."""
 
 import re
 from collections.abc import Iterator
@@ -100,7 +100,8 @@ class Reweighed:
         return np.array(rows)
 
     def figures(self, x: Array) -> Array:
-        """Return the figures `LOADS`, shape (samples, 4), for the constants `x` of each sample."""
+        """Return the summary values `LOADS`, shape (samples, 4), for the constants `x` of
+        samples."""
         weights = self.weights(x)
         peak = np.zeros((len(x), 2))
         sums = np.zeros((len(x), 2))
@@ -163,7 +164,7 @@ def density_prior(law: str) -> Prior | None:
 
 
 Figure = tuple[str, ...]
-"""Name of a figure: the keys that lead to its value in ``summary.json``.
+"""Name of a summary value: the keys that lead to the value in ``summary.json``.
 
 For the time of an event, the keys are ``events``, the sentence of the event and ``time_s``.
 """
@@ -172,7 +173,7 @@ LEVELS = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
 LOADS: tuple[Figure, ...] = tuple(
     (name, figure) for name in ("force_N", "torque_Nm") for figure in ("peak", "mean_in_contact")
 )
-"""Figures that every run has. They are the first columns of a table and have Sobol indices."""
+"""Summary values that every run has. They are the first columns of a table of samples."""
 NUMBER = re.compile(r"-?\d+(\.\d+)?([eE][-+]?\d+)?(?![\d.]*%)")
 """Pattern of a measured number in the sentence of an event.
 
@@ -181,18 +182,18 @@ A percentage is not matched, because it is a threshold that distinguishes two ev
 PEAKS = "_K"
 STRESS = "von_mises_"
 LARGEST_PREFIX = "greatest_"
-"""Prefix in the name of a figure that is the largest value of a field.
+"""Prefix in the name of a summary value that is the largest value of a field.
 
-`PEAKS` is the suffix of trace columns (temperatures) whose largest value is a figure.
+`PEAKS` is the suffix of trace columns (temperatures) whose largest value is a summary value.
 """
 
 
 def figures_of(run: Run) -> dict[Figure, float]:
     """Return the numbers that summarise a run.
 
-    The figures are loads, volumes, contact, clearances, largest temperature and stress, and events.
-    An event is named by its sentence without numbers, and only its first occurrence counts. Events
-    that report that the computer was too slow are left out.
+    The numbers are loads, volumes, contact, clearances, largest temperature and stress, and times
+    of events. An event is named by its sentence without numbers, and only its first occurrence
+    counts. Events that report that the computer was too slow are left out.
     """
     summary = run.summary
     trace = run.trace
@@ -230,23 +231,23 @@ def figures_of(run: Run) -> dict[Figure, float]:
 
 
 def table_of(runs: list[dict[Figure, float]]) -> tuple[tuple[Figure, ...], Array]:
-    """Return the names of all figures and their values in each run, shape (runs, figures).
+    """Return the names of all summary values, and the values in each run, shape (runs, figures).
 
-    The value of a figure that a run does not have is NaN.
+    If a run does not have a summary value, the entry is NaN.
     """
     names = tuple(dict.fromkeys(name for run in runs for name in run))
     return names, np.array([[run.get(name, np.nan) for name in names] for run in runs])
 
 
 def intervals(names: tuple[Figure, ...], values: Array) -> Summary:
-    """Return quantiles of figures, nested as in a run's summary.
+    """Return quantiles of summary values, nested as in a run's summary.
 
-    For a figure that only some runs have, the share of these runs is given too.
+    For a summary value that only some runs have, the share of these runs is added.
 
     Parameters
     ----------
     values
-        Values of the figures, shape (runs, figures), NaN where a run does not have the figure.
+        Summary values, shape (runs, figures), NaN where a run does not have the value.
     """
     found: Summary = {}
     for name, column in zip(names, values.T, strict=True):
@@ -314,7 +315,7 @@ def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
 
 
 Outcome = tuple[Array, dict[Figure, float]] | str
-"""Loads, shape (n, 8), and figures of a run; or the reason why the run failed."""
+"""Loads, shape (n, 8), and summary values of a run; or the reason why the run failed."""
 
 
 @dataclass(frozen=True)
@@ -334,7 +335,7 @@ def reruns(
     Raises
     ------
     InputError
-        If no scheduler answers, or workers are lost again and again.
+        If no scheduler answers, or workers are lost repeatedly.
     """
     samples = tuple(enumerate(files))
     work = partial(_outcome, scene, workers.compute)

@@ -1,4 +1,4 @@
-"""Text of a report as HTML: figures, bands, events, notes, materials, scene and versions."""
+"""Text of a report as HTML: key figures, bands, events, notes, materials, scene and versions."""
 
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -305,8 +305,8 @@ def _band_text(band: Summary) -> str:
 def band_lines(band: Summary) -> Iterator[str]:
     """Yield sentences about an uncertainty band.
 
-    The sentences state the number of samples, the 90 % intervals of figures, and the names of
-    failed samples, which are left out.
+    The sentences state the number of samples, the 90 % intervals of summary values, and the names
+    of failed samples, which are left out.
     """
     yield _band_text(band)
     for name, ends in band.items():

@@ -1,4 +1,4 @@
-"""Server of a page on this machine: access control, and pictures and figures over a WebSocket."""
+"""Server of a page on this machine: access control, and pictures and values over a WebSocket."""
 
 import asyncio
 import json
