@@ -104,7 +104,7 @@ def tooth_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
 def _enamel_note(image: Image, labels: Labels) -> list[str]:
     """Return a warning if the enamel does not lie on bright voxels.
 
-    An error is raised if the labels belong to another image.
+    Raise an error if the labels do not belong to this image.
     """
     placed = on_grid_of(labels, image)
     # the lower limit of the brightness of enamel is known only in Hounsfield units
@@ -135,7 +135,7 @@ def _tooth(labels: Labels) -> Labels:
 
 
 def _site(tooth: Labels, *, at_lesion: bool) -> tuple[Array, str]:
-    """Return the centre of the largest lesion or of the tooth [mm, LPS], and a sentence."""
+    """Return the centre [mm, LPS] of the largest lesion or of the tooth, and a message on it."""
     from scipy.ndimage import label
 
     image = tooth.image
@@ -164,7 +164,7 @@ def _site(tooth: Labels, *, at_lesion: bool) -> tuple[Array, str]:
 
 
 def _draw_tooth(image: Image, tooth: Labels, centre_mm: Array, file: Path) -> None:
-    """Draw slices of an image with the layers of a tooth, through a point [mm, LPS]."""
+    """Draw slices through a point [mm, LPS] of an image, with the layers of a tooth."""
     low = np.array(tooth.image.origin_mm)
     high = low + tooth.image.spacing_mm * (np.array(tooth.image.values.shape) - 1)
     masks = sorted(

@@ -189,7 +189,7 @@ class ImportRequest:
 
     @property
     def is_soft(self) -> bool:
-        """True if the import is of a soft organ.
+        """True if a soft organ is imported.
 
         This is the case if moduli are given for parts of the region, or if the name of the region
         contains a word for a soft organ.

@@ -212,9 +212,7 @@ class Drilling(ContactEnvironment):
         return False
 
     def _set_speed(self, response: Response, motion: ToolMotion) -> None:
-        """Set the cutting speed, and the share of the thrust that the tooth bears when the bur is
-        at rest.
-        """
+        """Set the cutting speed, and the share of the thrust that the tooth bears at rest."""
         edge = max(float(response.edge[2]), 0.0)
         motion.speed_m_s = abs(self._speed)
         rests = self._speed == 0.0 and self._thrust > 0.0 and edge > 0.0

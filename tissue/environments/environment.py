@@ -29,8 +29,9 @@ from tissue.simulation.builders.cutting import VoxelBone
 from tissue.simulation.loop import Stepper
 
 LAYER_BITS = 255
-"""Mask of the layer in the material word of a voxel; the upper half of the word is the density
-[kg/m3].
+"""Mask of the layer in the material word of a voxel.
+
+The upper half of the word is the density [kg/m3].
 """
 
 
@@ -40,7 +41,7 @@ class RestorableBone:
     Parameters
     ----------
     volume
-        Voxels with layers.
+        Voxels of the bone with their layers.
     cutter
         Cutter of the environment.
     shell_spacing_m
@@ -384,7 +385,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         """Restore the tissue, and apply the random draws of the episode."""
 
     def _tick(self, command: Array, count: int) -> Array:
-        """Advance by ticks; return force [N] and torque [N m] on the tool, shape (6,)."""
+        """Advance by `count` ticks; return force [N] and torque [N m] on the tool, shape (6,)."""
         self._command = command
         # The motions of environments do not depend on the time.
         self.stepper.step(0, step_s=count * TICK_S)

@@ -193,8 +193,9 @@ class Milling(ContactEnvironment):
 
 
 def _block(pocket_mm: tuple[float, float, float]) -> VoxelVolume:
-    """Return the block with its layers: pocket, margin at the wall of the pocket, and remaining
-    bone.
+    """Return the block with its layers.
+
+    The layers are the pocket, the margin at the wall of the pocket, and the remaining bone.
     """
     counts = np.round(np.array(BLOCK_MM) / SPACING_MM).astype(int)
     origin = np.array([-0.5, -0.5, -1.0]) * SPACING_MM * counts

@@ -27,13 +27,13 @@ from tissue.scene.tool import Tool
 from tissue.simulation.load_record import SENSITIVITIES, LayerLoads, LoadRecord, record_loads
 
 DENSITY = Prior(1.0, 0.85, 1.18)
-"""Prior of the factor on a layer's density, with a standard deviation of 10 %.
+"""Prior of a density factor, by which a layer's density is multiplied.
 
-The deviation is an assumption: laws that convert CT numbers to density differ by this amount
-between scanners and authors.
+The standard deviation is 10 %. It is an assumption: laws that convert CT numbers to density differ
+by this amount between scanners and authors.
 """
 FACTOR = "density_factor"
-"""Value of `FreeConstant.field` for the factor on a density."""
+"""Value of `FreeConstant.field` for a density factor."""
 FIELDS = {
     **{field.removesuffix("_Pa") + "_N_mm2": (field, N_MM2) for field in CuttingCoefficients.CHIP},
     **{field.removesuffix("_N_m") + "_N_mm": (field, N_MM) for field in CuttingCoefficients.EDGE},
@@ -41,7 +41,7 @@ FIELDS = {
     "size_exponent": ("size_exponent", 1.0),
     "minimum_chip_um": ("minimum_chip_m", UM),
 }
-"""For each constant: field of `CuttingCoefficients`, and factor that converts to its unit."""
+"""For each constant: field of `CuttingCoefficients`, and factor to the unit of that field."""
 
 
 @dataclass(frozen=True)
@@ -177,8 +177,9 @@ def cutting_forward(
         Selection of the free constants: full names, or the table followed by parts of the name,
         such as ``cutting.trabecular``, ``cutting.edge`` or ``cutting.trabecular.radial``. Default:
         all constants that have a range and are not set by the scene. An uncertainty band varies the
-        same constants. The density exponent is free only if a density differs from the reference
-        density of the coefficients. The factor on each layer's density is always free.
+        same constants. The density exponent is free only if a layer's density differs from the
+        reference density of its cutting coefficients. The factor on each layer's density is always
+        free.
     cores
         Processor cores to use; default all.
     progress
@@ -298,7 +299,7 @@ The first `AIR` ticks are in air and show the bias of the sensor.
 def cutting_problem(
     scene: Scene, log: MeasuredLog, free: Sequence[str], *, cores: int | None, progress: Progress
 ) -> Problem:
-    """Return the data of the fit of a cut through bone or a tooth, see `fit_scene`."""
+    """Return the data for fitting a cut through bone or a tooth, see `fit_scene`."""
     progress("recording the geometry of the log", 0.0)
     with names_of_caller({"motion": "measured"}):
         forward = cutting_forward(
@@ -385,7 +386,8 @@ def _feed_m_s(like: CuttingForward) -> float:
 
 
 def _steady(scene: Scene, tool: Tool, kind: str, depth_m: float) -> tuple[LayerLoads, float]:
-    """Return the mean unit loads of a steady cut through a block, and the feed of the cut [m/s]."""
+    """Return the mean `LayerLoads` of a steady cut through a block, and the feed of the cut
+    [m/s]."""
     radius_m = 0.5e-3 * tool.diameter_mm
     travel_m = TRAVEL[kind] * radius_m
     deep = np.array([0.0, 0.0, -depth_m])

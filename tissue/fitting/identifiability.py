@@ -34,9 +34,10 @@ A direction is an eigenvector of the information of the log, of length 1, with a
 constant. A component below 0.1 adds less than 1 % to the squared length.
 """
 ALONE = 0.95
-"""Squared component of a direction above which a single constant represents the direction.
+"""Squared component of an eigenvector above which it is reported as a single constant.
 
-Such a direction is reported as that constant and not as a combination.
+The constant is the one that the component belongs to. Other eigenvectors of the log's information
+are reported as combinations of constants.
 """
 BETTER = 0.5
 """Ratio of standard deviations below which a combination counts as better known than its constants.
@@ -161,11 +162,12 @@ def _separated(target: Target, u: Array, noise: Unpacked) -> tuple[Array, Array]
 def _combination(
     posterior: Posterior, mean: Array, direction: Array, information: float
 ) -> Combination:
-    """Return the combination for a direction of z.
+    """Return the combination for an eigenvector of the information about z.
 
-    The combination is the sum of the whitened loads with the weights `mean`, shape (m * channels,).
-    The derivative of this sum with respect to z is `information` times `direction`. Constants with
-    little influence are not named, but their uncertainty widens the interval.
+    Here z are the standard normal numbers of the constants. The combination is the sum of the
+    whitened loads with the weights `mean`, shape (m * channels,). The derivative of this sum with
+    respect to z is `information` times `direction`. Constants with little influence are not named,
+    but their uncertainty widens the interval.
     """
     target = posterior.target
     noise = posterior.nuisances
@@ -261,10 +263,11 @@ def expected_information(
 
 
 def _information(posterior: Posterior, forward: Forward) -> Array:
-    """Return the Fisher information of a log about z, shape (p, p).
+    """Return the Fisher information, shape (p, p), of a candidate log about z.
 
-    The biases and the clock offset of the log are free. The noise of a log depends on its rate, so
-    the candidate is evaluated at the rate of the measured log.
+    Here z are the standard normal numbers of the constants. The biases and the clock offset of the
+    candidate are free. The candidate is evaluated at the rate of the measured log, because the
+    noise depends on the rate.
     """
     measured = posterior.target.log
     rate_s = float(np.median(np.diff(measured.times_s)))

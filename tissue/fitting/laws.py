@@ -71,8 +71,9 @@ class LawMisfit:
         Akaike's information criterion, up to a constant that all laws of a table share. None if the
         table has no scatter and has so few rows that the law could fit one load exactly.
     left_out
-        Root mean square relative error of the loads of a row when the law is fitted to all other
-        rows. None if the other rows do not determine the constants.
+        Root mean square relative error of predicted loads. The loads of each row are predicted by
+        the law that is fitted to all other rows. None if the other rows do not determine the
+        constants.
     cited_chi_square, cited_p
         Misfit with the cited ranges as priors (see the description of the module), and the
         probability of a larger misfit. None without a scatter.

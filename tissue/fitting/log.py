@@ -37,8 +37,8 @@ LARGEST = {"N": 1e5, "Nm": 1e4}
 FARTHEST_M = 10.0
 """Distance from the scene's origin beyond which a tool position is refused [m].
 
-A position beyond this distance has another unit or is damaged. A cut along a path with such a jump
-would take too long to compute.
+A position beyond this distance has another unit or is damaged. The cut along such a long path would
+also take too long to compute.
 """
 GAP = 5.0
 """Ratio of a time step to the median time step above which the step is reported as a gap.

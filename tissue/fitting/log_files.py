@@ -50,8 +50,8 @@ class LogColumns:
     names
         Names of all columns, including columns without numbers.
     numbers
-        Function that returns a column's numbers, shape (n,), by its name. It raises InputError if
-        the column holds no numbers.
+        Function that takes the name of a column and returns the numbers in the column, shape (n,).
+        It raises InputError if the column holds no numbers.
     notes
         Remarks on the columns, in words.
     rate_Hz

@@ -180,7 +180,7 @@ PARTS = 4
 The four parts are approximately press, hold, retreat and rest.
 """
 WIDE = 0.2
-"""Standard deviation relative to the prior above which a constant is also changed in pairs.
+"""Standard deviation, relative to the prior, above which constants are also changed in pairs.
 
 Every two constants above this limit are changed together in one run, which gives the coefficient of
 the product of their changes.
@@ -215,7 +215,7 @@ class Settled:
 def organ_problem(
     scene: Scene, log: MeasuredLog, free: Sequence[str], *, cores: int | None, progress: Progress
 ) -> Problem:
-    """Return the data of the fit of a probe that presses an organ, see `fit_scene`.
+    """Return the data for fitting a probe that presses an organ, see `fit_scene`.
 
     The organ is simulated along the poses of the log with the initial constants, and then with one
     constant changed at a time. Further runs use the fitted constants, until these agree with the

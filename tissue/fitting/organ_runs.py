@@ -105,7 +105,7 @@ def _cited(scene: Scene) -> tuple[list[Parameter], set[str]]:
 
 
 def _stated(scene: Scene) -> list[Parameter]:
-    """Return moduli, friction and shape constants of a law that are keys of the scene.
+    """Return the moduli, the friction and the shape constants that the keys of the scene set.
 
     The modulus of a nodule (a stiffer or softer ball in the organ) is included. A constant with a
     value of 0 or below, or a share of 1, has no range and stays fixed.

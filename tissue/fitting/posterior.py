@@ -143,7 +143,8 @@ class Posterior:
         parts
             Fits of the same log, each with the finer mesh in one part of the log.
         factor
-            Ratio of the error of this mesh to the difference between this mesh and the finer mesh.
+            Error of this mesh, divided by the difference between the results on this mesh and on
+            the finer mesh.
         """
         shifts = np.array([each.mean_z - self.mean_z for each in parts])
         least = np.sqrt(np.sum(shifts**2, axis=0))

@@ -130,7 +130,7 @@ class ProbeFit(Fitted):
     table
         The presses.
     law
-        Law of the organ.
+        Name of the elastic law of the organ.
     constants
         Modulus and shape constants, with 90 % intervals.
     force_N, bias_N

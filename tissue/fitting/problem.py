@@ -198,7 +198,7 @@ class Problem:
     notes
         Remarks for the report.
     fixed
-        Fixed constants that the free constants depend on, by their names.
+        Fixed constants on which the free constants depend, keyed by name.
     finer
         Functions from the constants to the loads with a finer mesh. The first function uses the
         finer mesh in the whole log. Each further function uses it in one part of the log. None if

@@ -28,7 +28,7 @@ from tissue.simulation.trace import Table
 FEEDS = ("feed_mm_s", "feed_mm_per_turn")
 SPIN = "spin_rpm"
 CHANNELS = {"thrust_N": "force_z_N", "torque_Nm": "torque_z_Nm"}
-"""Channel of the simulation for each column of loads in a table."""
+"""Simulated channel that corresponds to each column of measured loads."""
 SCATTERS = {"thrust_N": "thrust_pm_N", "torque_Nm": "torque_pm_Nm"}
 """Column with the scatter (one standard deviation) of each load."""
 MEASURES = {
@@ -86,7 +86,7 @@ class SteadyTable:
 
 
 def is_table(names: Sequence[str]) -> bool:
-    """Return whether columns belong to a table of steady loads: a feed or a thrust, but no times.
+    """Return True if columns contain a feed or a thrust but no times, as in a table of loads.
 
     A file with a column ``time_s`` is a log.
     """

@@ -79,7 +79,7 @@ def scene_to_ras(start: Start) -> Array:
 
 
 class Publisher(RunPublisher):
-    """Server that sends the newest row, the events and the changing surface of a live run.
+    """Server that sends the newest trace row, the events and the changing surface of a live run.
 
     Attributes
     ----------
@@ -188,7 +188,7 @@ class Publisher(RunPublisher):
         return np.concatenate([tip_mm, quaternion])
 
     def _take_row(self) -> None:
-        """Send the newest row if it is due."""
+        """Send the newest trace row if it is due."""
         now = perf_counter()
         if now - self._posed < FRAME_S:
             return

@@ -141,7 +141,7 @@ def transversely_isotropic(
 
 
 def volume_preserving_ratio(*, poisson_ratio: float, modulus_ratio: float) -> float:
-    """Compute the Poisson's ratio across fibres for which fibres do not change the bulk modulus.
+    """Compute the transverse Poisson's ratio at which fibres do not change the bulk modulus.
 
     A transversely isotropic material has the Young's moduli E across and r E along its fibres. Its
     Poisson's ratio is nu under tension along the fibres, and nu_across under tension across the

@@ -365,7 +365,7 @@ def energy_note(
     Parameters
     ----------
     layer_names
-        Layers of the bone.
+        Names of the layers of the bone.
     constants
         Constants of the scene.
     bone

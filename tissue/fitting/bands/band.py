@@ -91,9 +91,9 @@ class Band:
     constants, values
         Names of the constants that vary, and their values in each sample, shape (samples, p).
     figure_names, figures
-        Names of the figures (see `tissue.fitting.bands.sample_loads.Figure`), and their values in
-        each sample, shape (samples, figures). A value is NaN if the sample does not have the
-        figure, for example the time of an event that does not happen.
+        Names of the summary values (see `tissue.fitting.bands.sample_loads.Figure`), and the values
+        in each sample, shape (samples, figures). A value that a sample does not have is NaN, for
+        example the time of an event that does not happen.
     numbers
         Index of each sample in `files`, shape (samples,).
     files
@@ -349,7 +349,7 @@ def require_same(band: Band, loads: Array) -> None:
     Parameters
     ----------
     loads
-        Force [N] and torque [N m] on the tool that the model computed in the run, shape (n, 6).
+        Force [N] and torque [N m] on the tool, shape (n, 6), as computed by the model in the run.
 
     Raises
     ------

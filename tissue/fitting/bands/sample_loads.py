@@ -62,7 +62,7 @@ class Reweighed:
 
     @cached_property
     def ranges(self) -> Ranges:
-        """Constants with a range, for the layers that the tool touched.
+        """Constants of the touched layers that have a range.
 
         Constants that the scene sets itself are left out.
         """
@@ -100,8 +100,7 @@ class Reweighed:
         return np.array(rows)
 
     def figures(self, x: Array) -> Array:
-        """Return the summary values `LOADS`, shape (samples, 4), for the constants `x` of
-        samples."""
+        """Return the summary values `LOADS` of samples with constants `x`, shape (samples, 4)."""
         weights = self.weights(x)
         peak = np.zeros((len(x), 2))
         sums = np.zeros((len(x), 2))
@@ -173,7 +172,7 @@ LEVELS = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
 LOADS: tuple[Figure, ...] = tuple(
     (name, figure) for name in ("force_N", "torque_Nm") for figure in ("peak", "mean_in_contact")
 )
-"""Summary values that every run has. They are the first columns of a table of samples."""
+"""Summary values that every run has. Sobol indices are computed for these values."""
 NUMBER = re.compile(r"-?\d+(\.\d+)?([eE][-+]?\d+)?(?![\d.]*%)")
 """Pattern of a measured number in the sentence of an event.
 
@@ -265,12 +264,12 @@ def intervals(names: tuple[Figure, ...], values: Array) -> Summary:
 
 
 def _by_level(values: Array) -> dict[str, float]:
-    """Return quantiles of numbers by their names."""
+    """Return quantiles of numbers, keyed by the names in `LEVELS`."""
     return dict(zip(LEVELS, np.quantile(values, tuple(LEVELS.values())).tolist(), strict=True))
 
 
 REACH = 0.9
-"""Smallest share of the runs that must last until a tick for quantiles to be computed there.
+"""Share of the runs that must reach a tick, so that quantiles are computed for this tick.
 
 With a smaller share, the 5 and 95 % quantiles would describe only a part of the runs.
 """

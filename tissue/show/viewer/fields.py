@@ -209,7 +209,7 @@ class BoneShown:
     Parameters
     ----------
     plotter
-        Plotter of the bone. If bone was removed, its key c switches the colours.
+        Plotter of the bone. If bone was removed, the key c switches the colours.
     bone
         Bone over time.
     legend
@@ -220,7 +220,7 @@ class BoneShown:
     layers
         Names of the layers that can be hidden.
     help
-        Description of the key; empty if there is no key.
+        Description of the key c; empty if the key has no function.
     points_mm
         Points of the initial surface [mm], shape (n, 3).
     colours

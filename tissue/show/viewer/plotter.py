@@ -170,7 +170,8 @@ def on_click(plotter: Plotter, click: Callable[[int, int], object]) -> None:
 def free_keys(plotter: Plotter) -> None:
     """Switch off the keys that VTK binds to actions, except `KEPT`.
 
-    For example, VTK uses 3 for a stereo picture, and m for an animation that stops the mouse.
+    For example, VTK binds the key 3 to a stereo picture, and the key m to an animation that blocks
+    the mouse.
     """
     interactor = plotter.iren.interactor
     style = interactor.GetInteractorStyle()

@@ -163,7 +163,7 @@ def _draw_apart(
 ) -> None:
     """Draw a file in a separate process; if this fails, an existing file stays unchanged.
 
-    The command is a module and its arguments. The file is added as last argument.
+    The command is a module and its arguments. The path of the file is added as the last argument.
     """
     with (
         whole_file(file) as temporary,

@@ -81,7 +81,8 @@ def write_clean(plotter: Plotter, file: Path) -> None:
 FRAMES_PER_S = 20
 """Frame rate of movies [1/s].
 
-MP4 and GIF support this rate. A GIF counts time in 1/100 s.
+MP4 and GIF support this rate. A GIF counts time in 1/100 s, so a frame must last a whole number of
+these units.
 """
 SHORTEST_S = 4.0
 LONGEST_S = 12.0
