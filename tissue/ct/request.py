@@ -391,7 +391,7 @@ def kept_clear(
 ) -> tuple[dict[str, Surface], list[str]]:
     """Return the surfaces of structures that the tool must not touch, and messages for the user.
 
-    The messages describe the structures.
+    The messages describe these structures.
 
     The surfaces are keyed by the names that `plain_names` returns.
 

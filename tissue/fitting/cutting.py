@@ -386,8 +386,7 @@ def _feed_m_s(like: CuttingForward) -> float:
 
 
 def _steady(scene: Scene, tool: Tool, kind: str, depth_m: float) -> tuple[LayerLoads, float]:
-    """Return the mean `LayerLoads` of a steady cut through a block, and the feed of the cut
-    [m/s]."""
+    """Return the mean `LayerLoads` of a steady cut through a block, and the feed [m/s]."""
     radius_m = 0.5e-3 * tool.diameter_mm
     travel_m = TRAVEL[kind] * radius_m
     deep = np.array([0.0, 0.0, -depth_m])

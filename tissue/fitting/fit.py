@@ -109,8 +109,8 @@ class SceneFit(Fitted):
 
     @property
     def verdicts(self) -> list[str]:
-        """Sentences of `Fitted`, and sentences on combinations of constants, priors and the next
-        log."""
+        """Sentences of `Fitted`, and sentences on combinations, priors and the log to measure
+        next."""
         found = super().verdicts
         for combined in self.identified.combinations[:SHOWN]:
             # A constant whose prior has the median 0 has no weight over that median.

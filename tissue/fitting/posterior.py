@@ -95,8 +95,7 @@ class Posterior:
 
     @property
     def covariance_z(self) -> Array:
-        """Covariance, shape (p, p), of the constants' normal numbers with free nuisance
-        parameters."""
+        """Covariance, shape (p, p), of the constants' normal numbers with free nuisances."""
         p = self.target.constants
         found = self.covariance[:p, :p]
         return found if self.mesh_z is None else found + np.outer(self.mesh_z, self.mesh_z)

@@ -39,8 +39,10 @@ Layers that are not listed use a material of bone.
 
 @dataclass(frozen=True)
 class Constant:
-    """Cited constant with value, plausible range and source. The constant's name states the
-    unit."""
+    """Cited constant with value, plausible range and source.
+
+    The name of a constant states the unit.
+    """
 
     value: float
     low: float

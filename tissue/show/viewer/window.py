@@ -36,7 +36,10 @@ BORDER = 0.02
 """Free border of a picture without text and controls before cropping, relative to its size."""
 FINE = 2
 AROUND_PX = 8
-"""Margin around the content of a picture without text and controls [pixels]."""
+"""Margin around the content of a picture without text and controls [pixels].
+
+`FINE` is the number of pixels of such a picture per pixel of the window.
+"""
 
 
 def add_scale_bar(plotter: Plotter) -> None:
@@ -86,7 +89,9 @@ these units.
 """
 SHORTEST_S = 4.0
 LONGEST_S = 12.0
-"""Longest duration of a movie [s]; `SHORTEST_S` is the shortest.
+"""Longest duration of a movie [s]; `SHORTEST_S` is the shortest duration.
+
+A shorter or longer run is played slower or faster.
 """
 KINDS = (".mp4", ".gif")
 

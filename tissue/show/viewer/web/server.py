@@ -33,8 +33,7 @@ NUMBERS = {
 """Ranges of the numbers in messages, keyed by message and entry."""
 WORDS = ("key", "field", "layer")
 SWITCHES = ("pause", "play", "cut")
-"""Messages whose only entry is the bool ``on``; in `WORDS`, the only entry is the text ``name``.
-"""
+"""Messages whose only entry is the bool ``on``; in `WORDS`, the only entry is the text ``name``."""
 ALONE = ("reset", "end", "seen")
 """Messages without entries."""
 
