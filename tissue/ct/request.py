@@ -313,7 +313,7 @@ class Placed:
 
 
 def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str]:
-    """Return the site of a request on a surface, and a sentence that describes the site.
+    """Return the site on a surface that a request selects, and a sentence that describes it.
 
     The site is None if the request names no site and the usual site is not found.
 
@@ -426,7 +426,7 @@ def kept_clear(
 
 
 def plain_names(names: Sequence[str]) -> list[str]:
-    """Convert names of labels to names that are allowed in a scene.
+    """Convert the names of labels to names that a scene allows.
 
     The converted names consist of ASCII letters, digits and underscores, and are unique.
     """

@@ -17,9 +17,10 @@ from tissue.cutters.profile import Arc, Line, Piece, Profile
 
 ON_SURFACE = 3000
 INSIDE = 1000
-"""Approximate largest number of points inside a tool; chosen for pictures.
+"""Approximate largest number of points inside a tool that `body_points` returns.
 
-`ON_SURFACE` is this number for points on the surface.
+The number is chosen for pictures. `ON_SURFACE` is the corresponding number for points on the
+surface.
 """
 CONVEX = 1e-9
 """Sine of a right turn of an outline below which the turn counts as a rounding error."""
@@ -54,7 +55,7 @@ def _ring(radius: float, height: float, count: int) -> Array:
 def _inside(profile: Profile, spacing: float) -> Array:
     """Return points of a cubic lattice inside a profile.
 
-    The depth of each point is more than half the spacing.
+    Each point is deeper below the surface than half the spacing.
     """
     reach = profile.radius_m
     (low, high) = profile.height_range_m

@@ -130,7 +130,7 @@ class Entry:
     name
         Name of the quantity.
     scale
-        Value of the quantity, in `unit`, that becomes 1 in the observation. Larger values are
+        Value of the quantity, in `unit`, that is shown as 1 in the observation. Larger values are
         clipped to 1.
     unit
         Unit of the scale.
@@ -154,7 +154,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
     to [-1, 1]. Loads are means over the step. The reward of a step is::
 
         P(after) - P(before)
-            - 1.0 / M * sum over its ticks of max(0, F / limit - 1)
+            - 1.0 / M * sum over the ticks of max(0, F / limit - 1)
             - 0.1 * ticks / M
 
     Here P is the potential of the task, and F is the magnitude of the contact force in a tick of
@@ -413,5 +413,5 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 
 
 def _force(wrench: Array) -> float:
-    """Return the magnitude of the force of a wrench [N]."""
+    """Return the magnitude [N] of the force in a wrench."""
     return sqrt(wrench[:3].dot(wrench[:3]))

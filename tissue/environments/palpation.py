@@ -171,7 +171,7 @@ class Palpation(ContactEnvironment):
         self._touched = False
 
     def begin(self, motion: ToolMotion) -> None:
-        """Place the tool at the current position of the tip, converted to the frame of the slab.
+        """Place the tool at the current position of the tip, in the frame of the slab.
 
         The nodule lies below the origin of this frame.
         """

@@ -263,12 +263,11 @@ SPINS = (0.5, 1.0, 2.0)
 DEPTHS = (0.25, 0.5, 1.0)
 """Depths of cut in logs that could be measured next, relative to the radius of the tool.
 
-`FEEDS` and `SPINS` are the feeds and spins of these logs, relative to the feed and the spin of the
-measured log.
+`FEEDS` and `SPINS` are the feeds and spindle speeds of these logs, relative to the measured log.
 
-Feed and spin change the chip force but not the edge force. Logs at several feeds and spins
-therefore separate the coefficients of the two forces. The depth changes the directions of the
-forces of the cutting elements.
+Feed and spindle speed change the chip force but not the edge force. Logs at several feeds and
+speeds therefore separate the coefficients of the two forces. The depth changes the directions of
+the forces of the cutting elements.
 """
 UP = (0.0, 0.0, 1.0)
 TICKS = 60

@@ -109,8 +109,7 @@ class SceneFit(Fitted):
 
     @property
     def verdicts(self) -> list[str]:
-        """Sentences of `Fitted`, and sentences on combinations, priors and the log to measure
-        next."""
+        """Sentences of `Fitted`, and sentences on combinations, priors and the next log."""
         found = super().verdicts
         for combined in self.identified.combinations[:SHOWN]:
             # A constant whose prior has the median 0 has no weight over that median.
@@ -237,7 +236,7 @@ class TableFit(SceneFit):
     Attributes
     ----------
     table
-        The table.
+        Table of steady loads.
     """
 
     table: SteadyTable

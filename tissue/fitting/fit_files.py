@@ -38,10 +38,10 @@ def write_fitted(
     path
         File to write.
     entries
-        The n constants by their names, ``TABLE.MATERIAL.NAME``.
+        The n constants, keyed by name: ``TABLE.MATERIAL.NAME``.
     correlation
-        Correlation of the standard normal numbers of these constants, shape (n, n), see
-        `tissue.materials.constants.Prior`.
+        Correlation, shape (n, n), of the standard normal numbers from which the constants are
+        computed, see `tissue.materials.constants.Prior`.
     fixed
         Constants that have no range, and on which the fitted constants depend.
     remark

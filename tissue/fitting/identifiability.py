@@ -28,16 +28,16 @@ DETERMINED = 0.5
 The log then holds more than three times the information of the prior: 1 / 0.5**2 - 1 = 3.
 """
 LEAST_SHARE = 0.1
-"""Component of a direction below which the constant is not named in a combination.
+"""Component of an eigenvector below which its constant is not named in a combination.
 
-A direction is an eigenvector of the information of the log, of length 1, with a component for each
+The eigenvectors are those of the log's information. Each one has length 1 and a component for each
 constant. A component below 0.1 adds less than 1 % to the squared length.
 """
 ALONE = 0.95
 """Squared component of an eigenvector above which it is reported as a single constant.
 
 The constant is the one that the component belongs to. Other eigenvectors of the log's information
-are reported as combinations of constants.
+that are determined are reported as combinations of constants.
 """
 BETTER = 0.5
 """Ratio of standard deviations below which a combination counts as better known than its constants.
@@ -202,18 +202,18 @@ def _combination(
 
 @dataclass(frozen=True)
 class Gain:
-    """Expected gain from a candidate log.
+    """Information that a log is expected to add if it is measured next.
 
     Attributes
     ----------
     label
-        Description of the measurement.
+        Description of the candidate log.
     nats
-        Expected gain of information about all constants [nats].
+        Expected information gain about all constants [nats].
     widest
         Constant whose interval is the widest before the candidate log.
     shrinks_to
-        Width of the interval of the constant `widest` after the candidate log, divided by its width
+        Width of the interval of the constant `widest` after the candidate log, divided by the width
         before this log.
     """
 

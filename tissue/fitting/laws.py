@@ -45,7 +45,7 @@ EXPONENTS = np.linspace(0.0, 0.9, 19)
 PRECISION = 1e-4
 """Precision of the fitted exponent of the size effect."""
 NO_EFFECT = 1e-6
-"""Singular value, relative to the largest, below which a combination has no effect on the loads."""
+"""Relative singular value below which a combination of constants has no effect on the loads."""
 LEAST_RESIDUAL = 1e-9
 """Smallest root mean square residual, relative to the mean load. It replaces 0 in an exact fit."""
 
@@ -262,7 +262,7 @@ class MaximumLikelihood:
         return float(len(rows) * np.log(variances).sum()), found
 
     def _design(self, exponent: float) -> Array:
-        """Return the derivatives of the scaled loads by the coefficients, shape (channels, n, 2).
+        """Return the derivatives, shape (channels, n, 2), of the scaled loads by the coefficients.
 
         The loads are divided by their units.
 

@@ -46,9 +46,9 @@ GAP = 5.0
 A few lost consecutive samples are therefore not reported as a gap.
 """
 SHORTEST_PATH_M = 5e-5
-"""Extent of the positions below which their unit must be given [m].
+"""Extent of a path below which the unit of its positions must be given [m].
 
-A path of 50 mm has this extent if its positions are in metres but are read in millimetres.
+A path of 50 mm seems to have this extent if positions in metres are read as millimetres.
 """
 SHORTEST_S = 0.5
 """Shortest log whose noise can be estimated [s].
@@ -297,15 +297,15 @@ SHARPER = 5
 The peak of a signal with coarse steps stays below this ratio.
 """
 ROUGH = 0.05
-"""Smallest share of samples at which a channel with noise reverses its direction.
+"""Share of samples with a reversal of direction, above which a channel counts as noisy.
 
 A smoother channel has no noise, and may rest at any value without saturation.
 """
 BASELINE = 0.5
 """Share of the largest load below which an extreme value counts as a load without contact.
 
-An extreme value is the smallest or the largest value of a channel. Below this limit, it is not
-taken for the end of the sensor's range.
+An extreme value is the smallest or the largest value of a channel. Below this limit, an extreme
+value is not taken for the end of the sensor's range.
 """
 SLOWER = 5.0
 """Ratio of the pose interval to the load interval above which poses are reported as too slow.
@@ -321,7 +321,7 @@ SPEED_S = 0.1
 
 
 def without_saturation(loads: Array, channels: Sequence[str], notes: list[str]) -> Array:
-    """Return loads with saturated values replaced by NaN, shape (m, channels), and add notes.
+    """Return loads, shape (m, channels), in which NaN replaces saturated values; add notes.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Quantities of a log from the columns of its file: names, units, signs, constants and rates."""
+"""Extraction of a log's quantities from file columns by names, units, signs and rates."""
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -125,7 +125,7 @@ def column_for(name: str, measure: str, names: Sequence[str]) -> str | None:
 
 
 def _column(name: str, asked: str, known: Sequence[str]) -> tuple[str, float, str]:
-    """Return the column that a text names, its sign, and its unit, which may be empty.
+    """Return the column that `asked` names, its sign, and its unit, which may be empty.
 
     For a constant, the column is empty, and the sign is the value of the constant.
     """
@@ -214,7 +214,7 @@ def suggested(missing: Sequence[str], names: Sequence[str]) -> str:
 
 
 def _is_like(name: str, header: str) -> bool:
-    """Return whether a header such as "Fx [mN]" may be the name of a quantity along an axis."""
+    """Return True if a header such as "Fx [mN]" may stand for a quantity along an axis."""
     measure = QUANTITIES[name]
     if measure not in ("length", "force"):
         return measure == "time" and bool(unit_of(header, "time"))

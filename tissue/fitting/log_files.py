@@ -246,10 +246,10 @@ _BYTES = 8
 
 
 def parquet_columns(file: Path) -> Answer:
-    """Return the columns of a Parquet file by name.
+    """Return the columns of a Parquet file, keyed by name.
 
     Before the file is read, its recorded size is compared with the memory limit. A column without
-    numbers is returned as an empty matrix, so that its name is known.
+    numbers is returned as an empty matrix, so that the caller knows its name.
     """
     import pyarrow.parquet
 
@@ -274,10 +274,10 @@ def parquet_columns(file: Path) -> Answer:
 
 
 def mat_columns(file: Path) -> Answer:
-    """Return the numeric arrays of a MATLAB file by name.
+    """Return the numeric arrays of a MATLAB file, keyed by name.
 
     Arrays of structs have the names of their fields. An entry without numbers is returned as an
-    empty matrix, so that its name is known.
+    empty matrix, so that the caller knows its name.
     """
     from scipy.io import loadmat
     from scipy.io.matlab import MatlabObject, MatlabOpaque

@@ -152,7 +152,7 @@ smaller change would show single nodes that enter or leave the contact.
 FIRST_STEP = 0.5
 """One-sided change of a constant for its first slope, in standard deviations of its prior."""
 SETTLED = 0.3
-"""Distance below which the fitted constants agree with the constants of the last run.
+"""Distance from the last run's constants below which the fitted constants count as equal.
 
 The distance is measured in standard deviations of the constants. A 90 % interval is 3.3 standard
 deviations wide.
@@ -167,7 +167,7 @@ These numbers limit the runs of a fit that does not converge. `UNSETTLED` is the
 a fit.
 """
 LEARNT = 0.1
-"""Step above which slopes are corrected, in standard deviations of the priors of the constants."""
+"""Step of the constants above which slopes are corrected, in prior standard deviations."""
 UNSETTLED = (
     "the runs and the result do not agree yet, so the intervals are not reliable: free "
     "fewer constants"
@@ -338,7 +338,7 @@ def _next(forward: OrganForward, posterior: Posterior, spread: Array) -> tuple[A
 
 
 def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> OrganForward:
-    """Return the model with new slopes, which are computed from runs near its constants.
+    """Return the model with new slopes, computed from runs near the constants of the model.
 
     The constants are changed to one side if no constant has been estimated yet, and to both sides
     otherwise. Two constants whose standard deviations exceed `WIDE` are also changed together,

@@ -220,15 +220,15 @@ class OrganRuns:
         return _loads(scene, *self._settings, sample)
 
     def __call__(self, samples: Sequence[Mapping[str, float]]) -> list[Array]:
-        """Return the loads on the tool for each set of constants, shape (n, channels) each.
+        """Return the loads on the tool, shape (n, channels), for each set of constants.
 
         The loads are forces [N] and torques about the tip [N m].
 
         Parameters
         ----------
         samples
-            Values by the names of constants, ``TABLE.MATERIAL.NAME`` or keys of the scene. Each set
-            is one run.
+            Values keyed by the names of constants: ``TABLE.MATERIAL.NAME`` or a key of the scene.
+            Each set is one run.
         """
         self.count += len(samples)
         cores = min(self._cores, len(samples))

@@ -231,7 +231,7 @@ def starts(target: Target) -> list[tuple[float, Array]]:
 GAIN = 10.0
 """Increase of the log density, odds of 2e4, above which a channel's sign counts as reversed."""
 SCREENED = 50.0
-"""Largest deficit in log density of a first guess for which reversed signs are searched.
+"""Largest deficit in log density of a first guess from which a search with reversed signs begins.
 
 The search also changes the noise, so the first guess alone does not decide.
 """

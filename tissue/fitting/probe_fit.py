@@ -128,7 +128,7 @@ class ProbeFit(Fitted):
     path
         File of the table.
     table
-        The presses.
+        Table of the presses.
     law
         Name of the elastic law of the organ.
     constants
@@ -233,10 +233,10 @@ class ProbeFit(Fitted):
 
 
 def common_pattern(forces_N: Array, fitted_N: Array) -> float:
-    """Return the size of the mean residual of presses, divided by its standard error.
+    """Return the norm of the presses' mean residual, divided by its standard error.
 
     The fitted curve is scaled and shifted to each press before the residual is computed. Residuals
-    are divided by the range of the press. Both sizes are L2 norms over the depths.
+    are divided by the range of the press. The norms are L2 norms over the depths.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ def fit_probes(
         Scene with a slab of one material on its bed, and a ball. Motion, friction and device of
         the scene are ignored.
     table
-        The presses.
+        Table of the presses.
     free
         Names of the constants to find; the modulus is always free. By default the shape constants
         of the law that are above zero are free too.

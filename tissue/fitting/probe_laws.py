@@ -162,7 +162,7 @@ def probe_curves(
     first: float = FIRST,
     progress: Progress = silent,
 ) -> ProbeCurves:
-    """Compute the forces at some depths over the range of some shape constants.
+    """Compute the forces at given depths over the ranges of the given shape constants.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def probe_curves(
     depths_m
         Depths [m], not all of them zero, shape (d,).
     keys
-        Shape constants, at most two.
+        Names of the shape constants that vary, at most two.
     first
         Edge of the cells under the ball, divided by the radius of the ball.
     progress

@@ -21,10 +21,10 @@ class Parameter:
     ----------
     name
         Name in the files of constants, ``TABLE.MATERIAL.NAME``, such as
-        ``cutting.bone.radial_chip_N_mm2``. ``density.LAYER`` is the factor on the density map of a
-        layer.
+        ``cutting.bone.radial_chip_N_mm2``. ``density.LAYER`` is the factor by which the density map
+        of a layer is multiplied.
     prior
-        Prior of the constant that the fit uses, before the measured log is known.
+        Prior that the fit uses for the constant.
     cited
         Original prior of a constant whose cited value is an end of its range, such as a size
         exponent of 0. For such a constant, `prior` is the original prior mirrored at this end
@@ -132,7 +132,7 @@ class Forward(Protocol):
 SD_PER_MAD = 1.4826
 """Standard deviation of a normal variable divided by its median absolute deviation."""
 FEWEST = 50
-"""Minimum number of samples of a channel.
+"""Smallest number of samples of a channel that a fit can use.
 
 With fewer samples, the scale and the correlation of its noise cannot be estimated: the standard
 error of a correlation is about 1 / sqrt(50) = 0.14.
@@ -152,8 +152,8 @@ class MeasuredLoads:
     channels
         Names with units, such as ``force_x_N``.
     within_s
-        Times [s] relative to the time of a sample, shape (k,). A sample is the mean of the loads
-        read at these times.
+        Times [s] relative to the time of a sample, shape (k,). A sample is the mean of the loads at
+        these times.
     """
 
     times_s: Array
@@ -254,7 +254,7 @@ def block_ticks(duration_s: float, period_s: float) -> int:
 def block_averages(
     times_s: Array, values: Array, channels: tuple[str, ...], ticks: int
 ) -> MeasuredLoads:
-    """Return means over blocks.
+    """Return the means of values over blocks of time.
 
     A mean is NaN if its block holds less than half of the expected samples.
 

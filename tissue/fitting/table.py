@@ -102,10 +102,10 @@ def read_table(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> St
     path
         The file, for messages.
     found
-        Columns of the file. The column of the feed is ``feed_mm_min`` or ``feed_mm_s``, each with
-        ``spin_rpm``, or ``feed_mm_per_turn``. The columns of the loads are ``thrust_N``, and
-        ``torque_Nmm`` or ``torque_Nm``; at least one of them is needed. The standard deviation of
-        a load is in a column such as ``thrust_pm_N``.
+        Columns of the file. The feed is in the column ``feed_mm_per_turn``, or in ``feed_mm_min``
+        or ``feed_mm_s`` together with ``spin_rpm``. The columns of the loads are ``thrust_N``, and
+        ``torque_Nmm`` or ``torque_Nm``; at least one of them is needed. The standard deviation of a
+        load is in a column such as ``thrust_pm_N``.
     columns
         ``NAME=COLUMN`` or ``NAME=COLUMN:UNIT`` for a column with another name or unit.
 

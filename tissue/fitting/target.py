@@ -1,6 +1,6 @@
 """Log density that a fit maximises.
 
-The density is the product of the density of the measured log and of the priors. The numbers of a
+The density is the product of the likelihood of the measured log and the priors. The numbers of a
 fit are the constants, the clock offset, the sensor biases and the noise.
 """
 
@@ -33,8 +33,8 @@ the median.
 LEAST_NOISE = 1e-3
 """Smallest noise relative to the size of the log's loads.
 
-This noise covers the rounding of loads in a file, and the error of the velocity of a replayed tool
-within a tick.
+This noise covers the rounding of loads in a file, and the velocity error of a replayed tool within
+a tick.
 """
 CORRELATION_SPREAD = 1.5
 MOST_CORRELATED = 0.9995
@@ -58,7 +58,7 @@ CORRELATED = 0.5
 FARTHEST = 4.0
 """Limit of a first guess, in standard deviations of a prior.
 
-Farther from the middle of the priors, loads are not linear in the constants.
+Farther from the medians of the priors, the loads are not linear in the constants.
 """
 MOST_STEPS = 60
 NEAR = 0.01
@@ -151,7 +151,7 @@ def likelihood(residuals: Array, noise: Unpacked) -> tuple[float, Array, Array]:
 
 
 def place_information(freedom: Array) -> Array:
-    """Return the Fisher information of the location of an innovation of scale 1.
+    """Return the Fisher information about the location of an innovation with scale 1.
 
     The result has the shape of `freedom`. The formula is from Lange, Little and Taylor (1989).
     """
@@ -218,7 +218,7 @@ class Target:
         return np.array([prior.slope(each) for prior, each in zip(self._priors, z, strict=True)])
 
     def loads(self, x: Array, offset_s: float) -> Array:
-        """Return loads at the times of the log without bias, shape (m, channels).
+        """Return loads without bias, shape (m, channels), at the times of the log.
 
         The constants are given in their own units.
         """
@@ -226,7 +226,7 @@ class Target:
         return values @ self.forward.loads(x)[:, self._channels]
 
     def simulated(self, u: Array) -> Array:
-        """Return loads at the times of the log with offset and bias, shape (m, channels)."""
+        """Return loads with offset and bias, shape (m, channels), at the times of the log."""
         each = self.unpacked(u)
         return self.loads(self.x(each.z), each.offset_s) + each.bias
 
@@ -386,7 +386,7 @@ class Target:
         return u
 
     def _rough_noise(self, u: Array) -> Array:
-        """Return the numbers of the noise that follow from the median size of the residuals."""
+        """Return the numbers of the noise, estimated from the median size of the residuals."""
         residuals = self.log.values - self.simulated(u)
         e = residuals[1:] - CORRELATED * residuals[:-1]
         away = np.nanmedian(np.abs(e - np.nanmedian(e, axis=0)), axis=0)

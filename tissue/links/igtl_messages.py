@@ -59,7 +59,7 @@ def crc64(body: bytes | bytearray | memoryview) -> int:
 
     The checksum is a remainder, which is linear in the body. A long body is split into `LANES`
     parts. The remainders of the parts are computed in parallel and then joined in pairs. Before two
-    remainders are joined, the earlier one is advanced by the length of the later part.
+    remainders are joined, the first remainder is advanced by the length of the second part.
     """
     if len(body) < LONG:
         value = 0

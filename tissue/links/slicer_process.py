@@ -166,10 +166,10 @@ class Publisher(RunPublisher):
                 self._arrays.write("target", wanted)
 
     def _target(self, content: bytes) -> Array | None:
-        """Return the requested pose of a transform, shape (7,); None if it is not a rigid motion.
+        """Return the pose that a transform requests, shape (7,); None if the motion is not rigid.
 
-        The pose consists of the tip in the scene [mm] and the rotation relative to the first
-        orientation (x, y, z, w).
+        The pose consists of the tip in the scene [mm] and a quaternion (x, y, z, w) for the
+        rotation relative to the first orientation.
         """
         from scipy.spatial.transform import Rotation
 
@@ -260,8 +260,8 @@ class Publisher(RunPublisher):
     def _scene_messages(self) -> list[bytes]:
         """Return the messages that do not change during a run.
 
-        The messages are the tool shape in its own frame, the voxel image, and the faces of an
-        anatomy without voxels and mesh, such as a wall.
+        The messages are the shape of the tool in the tool's frame, the voxel image, and the faces
+        of an anatomy that has neither voxels nor a mesh, such as a wall.
         """
         messages = []
         tool = tool_surface(self._scene.tool)

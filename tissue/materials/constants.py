@@ -353,7 +353,7 @@ class Prior:
         return slope_y
 
     def z(self, x: ArrayLike) -> Array:
-        """Return the standard normal numbers of values x of the constant.
+        """Return the standard normal numbers that belong to values x of the constant.
 
         The numbers are infinite outside the support of the distribution.
         """

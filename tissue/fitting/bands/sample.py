@@ -142,8 +142,8 @@ def sampled(constants: Materials, names: Sequence[str], x: Array) -> Materials:
 
     `x` has shape (p,).
 
-    The names have the form ``TABLE.MATERIAL.NAME``. Factors on densities are left out, because they
-    are not constants of a material.
+    The names have the form ``TABLE.MATERIAL.NAME``. Density factors are left out, because they are
+    not constants of a material.
     """
     values = (Constant(value, value, value, SOURCE, "L") for value in map(float, x))
     drawn = {
@@ -157,7 +157,7 @@ def sampled(constants: Materials, names: Sequence[str], x: Array) -> Materials:
 def sample_text(constants: Materials, names: Sequence[str], x: Array) -> str:
     """Return the text of the TOML file of a sample.
 
-    A factor on the density is written as a comment, because no scene accepts it.
+    A density factor is written as a comment, because a scene cannot set it.
     """
     lines = [
         f"# {name} = {float(value)!r}, which no file of materials holds"
@@ -334,7 +334,7 @@ def _fitted(basis: Array, values: Array, ridge: float) -> Array:
 
 
 def _best(basis: Array, values: Array) -> tuple[float, float]:
-    """Return the best ridge parameter and the share of the variance that the fit explains.
+    """Return the best ridge parameter, and the share of the variance that the fit explains.
 
     The best ridge parameter has the smallest error on runs that are left out of the fit one by one.
     This error has a closed form (Allen 1974, Technometrics 16:125).
@@ -353,7 +353,7 @@ def _best(basis: Array, values: Array) -> tuple[float, float]:
 
 
 def _shares(coefficients: Array, alone: Array, members: Array) -> Array:
-    """Return first-order and total indices, shape (2, groups)."""
+    """Return first-order and total Sobol indices, shape (2, groups)."""
     # coefficients of zero have no indices: 1e-300 avoids a division by zero
     squares = coefficients**2 / max(float((coefficients**2).sum()), 1e-300)
     return np.stack([alone @ squares, members @ squares])

@@ -291,7 +291,7 @@ def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
 
     Returns
     -------
-    Quantiles, shape (5, ticks, channels), and a summary of the time span that they cover.
+    Quantiles, shape (5, ticks, channels), and a summary of the time span that the quantiles cover.
     """
     lengths = np.sort([len(each) for each in loads])
     reached = len(lengths) - np.searchsorted(lengths, np.arange(len(times_s)), side="right")

@@ -181,9 +181,9 @@ def materials_table(used: Sequence[Used], text: Text) -> str:
 
 
 def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) -> str:
-    """Return the HTML sections with the scene, the commands to run it again, and the versions.
+    """Return the HTML sections with the scene, commands that repeat the run, and the versions.
 
-    `versions` contains pairs of name and version, for programs and for the machine.
+    `versions` contains pairs of a name and a version, for programs and for the machine.
     """
     data = b64encode(scene_text.encode()).decode("ascii")
     keep = (
@@ -277,7 +277,7 @@ LARGEST_PREFIX = "greatest_"
 
 
 def _band_text(band: Summary) -> str:
-    """Return a text on the method of a band, and on the most important constants.
+    """Return a text on the method of an uncertainty band, and on the most important constants.
 
     These constants have the largest influence on the peak force.
     """

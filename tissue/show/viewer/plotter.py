@@ -144,11 +144,11 @@ def add_colour_scale(
 
 
 def on_click(plotter: Plotter, click: Callable[[int, int], object]) -> None:
-    """Call a function with x and y of the mouse whenever the left button is clicked.
+    """Call a function with the mouse position whenever the left button is clicked.
 
-    x and y are counted in pixels from the lower left corner. In a click, the button is pressed and
-    released in the same place. Between press and release, VTK's interactor style, which rotates the
-    camera, receives all mouse events. This function therefore observes the events of the style.
+    The position is x and y in pixels from the lower left corner. In a click, the button is pressed
+    and released in the same place. Between press and release, VTK's interactor style, which rotates
+    the camera, receives all mouse events. This function therefore observes the events of the style.
     """
     interactor = plotter.iren.interactor
     style = interactor.GetInteractorStyle()
@@ -193,7 +193,7 @@ def aim(
     margins: tuple[float, float, float, float] = MARGINS,
     parallel: bool = False,
 ) -> None:
-    """Look from the front and above, so that points fill an area of the window.
+    """Look from the front and above, so that the given points fill an area of the window.
 
     `margins` are the left, right, lower and upper end of the area, relative to the window.
 

@@ -201,7 +201,8 @@ class RunScene:
     saved
         Saved run.
     choice
-        Initial view. The caller must still apply its hidden layers, its field and its time.
+        Initial view. The caller must still apply the hidden layers, the field and the time of this
+        view.
     plotter
         Plotter of the run.
     fine
@@ -218,7 +219,8 @@ class RunScene:
     series
         Fields of the run over time, or None.
     colours
-        Red, green and blue (0 to 1) of each layer and face that can be hidden.
+        Colour (red, green and blue, 0 to 1) of each layer and face that can be hidden, keyed by
+        name.
     face_colours
         Colours of the faces.
     times_s

@@ -133,11 +133,11 @@ class BoneOverTime:
         return True
 
     def rest(self, shown: Collection[int]) -> "pyvista.PolyData":
-        """Return the surface [mm] of the layers `shown` where no cut of the run changes it."""
+        """Return the part of the surface [mm] of the layers `shown` that no cut changes."""
         return _smooth(self._of(shown).rest())
 
     def cut(self, shown: Collection[int]) -> "pyvista.PolyData":
-        """Return the surface [mm] of the layers `shown` where cuts of the run change it.
+        """Return the part of the surface [mm] of the layers `shown` that cuts change.
 
         The surface belongs to the tick that was set with `at`.
         """
@@ -163,8 +163,8 @@ class BoneOverTime:
 def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
     """Return the bone of a run over time, or None for a run without voxels.
 
-    The voxels of an incomplete run are made again from its scene, and are coarser. If they cannot
-    be made, the result is None.
+    The voxels of an incomplete run are built again from its scene, with a larger spacing. If they
+    cannot be built, the result is None.
     """
     if saved.complete:
         file = saved.path / "bone.vti"

@@ -23,7 +23,7 @@ EYE = np.array([0.35, -1.0, 0.35])
 The view is from the front of the patient, slightly from the left and above.
 """
 ASIDE = 0.6
-"""Ratio of the eye's lateral offset to its distance along the normal.
+"""Ratio of the camera's lateral offset to its distance along the normal.
 
 With this offset, the arrow along the normal is visible.
 """

@@ -264,7 +264,7 @@ def show(
         Initial view of the run.
     kind, file
         File to write instead of opening a window, and its kind: ``screenshot`` (PNG) or ``movie``
-        (MP4 or GIF). While a movie is written, the share that is finished is printed.
+        (MP4 or GIF). While a movie is written, the finished share is printed.
     """
     window = Window(saved, title, choice, off_screen=file is not None)
     if file is None:

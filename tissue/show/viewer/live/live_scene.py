@@ -46,7 +46,7 @@ NUMBERS = ("time_s", "removed_mm3", *CLOCK)
 
 @dataclass(frozen=True)
 class Readings:
-    """Newest row of the trace, and clock values.
+    """Values of the newest trace row and of the clock.
 
     Attributes
     ----------
@@ -98,7 +98,8 @@ def read_start(folder: Path) -> tuple[Scene, Start]:
 PASSES = 4
 """Number of passes that smooth the normals.
 
-The number is smaller than in a picture, because each change of the bone requires new normals.
+A still picture uses more passes. A live run needs a small number, because each change of the bone
+requires new normals.
 """
 AROUND = 0.7
 """Margin that is shown around the touchable surface, relative to its size."""

@@ -43,7 +43,7 @@ class MessageError(ValueError):
 
 
 def parse(text: str) -> tuple[str, Values]:
-    """Parse the JSON text of a message, and return its command and its other entries.
+    """Parse the JSON text of a message, and return its command and a dict of its other entries.
 
     Raises
     ------
