@@ -115,7 +115,8 @@ class CuttingForward:
 
         A sample of the log is a mean over a block of time. The loads of the cut are averaged over
         blocks of the same duration, at three times the rate of the samples. The returned log treats
-        its samples as values at one time, because the block is already averaged.
+        its samples as values at one time, because the loads of the cut are already averages over
+        blocks.
 
         A fit computes loads thousands of times, so the averages are computed once, before the fit.
         """

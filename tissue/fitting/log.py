@@ -292,7 +292,7 @@ PLATEAU = 10
 In a channel with noise, so many equal consecutive samples are unlikely.
 """
 SHARPER = 5
-"""Factor by which a saturated plateau is longer than the plateaus before and after it.
+"""Smallest ratio of a saturated plateau's length to the lengths of its neighbouring plateaus.
 
 The peak of a signal with coarse steps stays below this ratio.
 """

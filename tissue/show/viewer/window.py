@@ -38,7 +38,7 @@ FINE = 2
 AROUND_PX = 8
 """Margin around the content of a picture without text and controls [pixels].
 
-`FINE` is the number of pixels of such a picture per pixel of the window.
+Before cropping, such a picture has `FINE` times the width and height of the window in pixels.
 """
 
 

@@ -1,4 +1,4 @@
-"""Scene of a live run in a plotter: tissue, tool, force and a mark at the device position."""
+"""Scene of a live run in a plotter: tissue, tool, force and requested position."""
 
 import json
 from dataclasses import dataclass
@@ -107,7 +107,7 @@ ORGAN = "#CC8E7D"
 
 
 class LiveScene:
-    """Drawn objects of a live run: tissue, tool, force, coupling spring and device position.
+    """Drawn objects of a live run: tissue, tool, force, coupling spring and requested position.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ class LiveScene:
         self._cut.SetNormal(*normal)
 
     def _add_tool(self) -> None:
-        """Add the tool, a mark at the device position, and the spring between them."""
+        """Add the tool, a mark at the requested position, and the spring between them."""
         import pyvista
 
         size_mm = float(np.linalg.norm(np.ptp(self.points_mm, axis=0)))

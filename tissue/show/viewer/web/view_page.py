@@ -105,8 +105,8 @@ class ViewPage:
     def take(self, do: str, values: Values) -> None:
         """Carry out a message of the page.
 
-        A message sets the shown time, starts or pauses the playback, selects a field, rotates the
-        view or ends the session.
+        A message sets the shown time, starts or pauses the playback, selects a field or a
+        colouring, rotates the view or ends the session.
         """
         if self.stage.take(do, values):
             pass
