@@ -1,5 +1,5 @@
 """Conversion of a user's CT to a scene.
 
-The conversion inspects the image, extracts a bone with its density or an organ, finds a site,
-imports a path, and writes a folder that can be simulated.
+The conversion inspects the image and extracts an organ, or a bone with its density. It then finds
+the site where the tool works, imports a toolpath, and writes a folder that can be simulated.
 """

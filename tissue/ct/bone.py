@@ -1,7 +1,7 @@
 """Conversion of a bone in a CT to a scene.
 
-The bone is cropped, and selected by a label or a threshold. The scene contains its density, its
-site (the place where the tool works) and its surroundings.
+The bone is cropped, and selected by a label or a threshold. The scene contains the density of the
+bone, the site (the place where the tool works) and the surroundings.
 """
 
 from collections.abc import Mapping
@@ -49,7 +49,7 @@ from tissue.show.figures.ct_pictures import (
 )
 
 _SIDE_MM = (1.0, 1000.0)
-"""Plausible range of the longest side of a bone.
+"""Plausible range of the longest side of a bone [mm].
 
 Outside this range, the unit of the spacing in the header is assumed to be wrong.
 """
@@ -67,7 +67,7 @@ PLUNGE: Mapping[str, Mapping[str, object]] = {
     "tool": {"kind": "ball-burr", "diameter_mm": 4.0, "flutes": 6, "spin_rpm": 20000.0},
     "motion": {"kind": "path", "points_mm": [[0, 0, 3], [0, 0, -2]], "feed_mm_s": 1.0},
 }
-"""Default motion at other sites: a ball burr moves 2 mm into the bone along the normal.
+"""Default motion at sites not in `USUAL`: a ball burr moves 2 mm into the bone along the normal.
 
 The feed per tooth of 0.5 um is far below 0.1 mm, the upper limit of the cutting law
 (`docs/models.md`). With voxels of 0.2 mm, the radius of the burr is ten voxels.
@@ -85,7 +85,7 @@ REMARKS = {
 
 
 class _BoneImport:
-    """Import of a bone, whose attributes are set one after the other by `draft`.
+    """Import of a bone. The method `draft` sets the attributes one after the other.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class _BoneImport:
     clear
         Structures to keep clear of, keyed by their names in the scene.
     at, path
-        Site and toolpath; None if there is none.
+        Site and toolpath. Each is None if the import has no site or no toolpath.
     sentences
         Findings and assumptions for the user.
     """
@@ -119,7 +119,7 @@ class _BoneImport:
         self.sentences: list[str] = []
 
     def draft(self, name: str, progress: Progress) -> Draft:
-        """Create the content of the output folder for a scene with a name."""
+        """Create the content of the output folder for a scene called `name`."""
         request = self.request
         self._read(progress)
         progress("finding the bone", 0.0)
@@ -289,7 +289,8 @@ def bone_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
     Raises
     ------
     InputError
-        If the image or an option cannot be used. The error then has the findings so far as notes.
+        If the image or an option cannot be used. The notes of the error then contain the findings
+        so far.
     """
     found = _BoneImport(request)
     try:
@@ -301,7 +302,7 @@ def bone_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
 
 
 def _law(text: str, image: Image, found: Inspection) -> DensityLaw | None:
-    """Return the density law that a request names.
+    """Return the density law that the text of an import option names.
 
     The default is the first density law that the image allows. The result is None if the image does
     not allow any law.
@@ -348,7 +349,7 @@ def _surface(bone: BoneOfImage, source: str) -> Surface:
 def _certainty(bone: BoneOfImage, density: Image, law: DensityLaw) -> str:
     """Describe the density law briefly, with the uncertainty band of the bone's median density.
 
-    The range of densities leaves out the voxels at the surface, because their densities are
+    The range of densities excludes voxels at the surface, because the densities of these voxels are
     corrected for the soft tissue in them.
     """
     from scipy.ndimage import minimum_filter
@@ -366,7 +367,7 @@ def _certainty(bone: BoneOfImage, density: Image, law: DensityLaw) -> str:
 
 
 def _followed(like: str | None, at: Placed | None, *, replay: bool) -> dict[str, Any]:
-    """Return the head and the tables of the scene that provides tool and motion.
+    """Return the top-level keys and the tables of the scene that provides tool and motion.
 
     A guide hole is returned under ``anatomy``.
     """

@@ -41,7 +41,7 @@ class Draft:
     sentences
         Description of the import for users.
     has_site
-        True if the scene can be run without changes.
+        True if the scene contains the site that it needs, so that it can be run without changes.
     """
 
     scene: str
@@ -51,7 +51,7 @@ class Draft:
     has_site: bool = True
 
     def write(self, out: Path, *, overwrite: bool, pictures: bool, progress: Progress) -> list[str]:
-        """Write the output folder, and return `sentences` and a sentence for each failed picture.
+        """Write the output folder; return `sentences` and a sentence for each picture that failed.
 
         Files of an earlier import in the folder are removed first. Other files in the folder are
         kept.

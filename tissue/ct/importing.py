@@ -25,7 +25,7 @@ class Imported:
     scene
         File of the scene.
     has_site
-        True if the scene can be run without changes.
+        True if the scene contains the site that it needs, so that it can be run without changes.
     sentences
         Results and assumptions.
     """
@@ -48,8 +48,8 @@ def import_ct(
 ) -> Imported:
     """Convert a CT to a folder with a scene.
 
-    The folder contains a scene and pictures. The scene is a bone with its density and a site, a
-    tooth, or a soft organ.
+    The folder contains a scene and pictures. The scene contains a tooth, a soft organ, or a bone
+    with its density and a site.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Conversion of segmented teeth and soft organs to scenes.
 
-A tooth is cut by a bur. A soft organ consists of tetrahedra, may have parts, and is pressed by a
-ball.
+A tooth is cut by a bur. A soft organ is meshed with tetrahedra and pressed by a ball. It may have
+parts with their own moduli.
 """
 
 from dataclasses import replace
@@ -45,11 +45,12 @@ FRONT = (0.0, -1.0, 0.0)
 BALL_MM = 12.0
 DEPTH_MM = 4.0
 FEED_MM_S = 5.0
-"""Diameter of the ball [mm], depth [mm] and feed [mm/s] of the default press on an organ.
+"""Feed of the ball in the default press on an organ [mm/s].
 
-The depth is 0.67 times the radius of the ball. At this depth, the force of the linear model has an
-error of more than 10 % (`tissue.models.organ.model.LINEAR_ERROR`), and the run reports this error.
-At a depth of 2.2 mm the error is 5 %.
+`BALL_MM` is the diameter of the ball, and `DEPTH_MM` is the depth of the press. The depth is 0.67
+times the radius of the ball. At this depth, the force of the linear model has an error of more than
+10 % (`tissue.models.organ.model.LINEAR_ERROR`), and the run reports this error. At a depth of 2.2
+mm the error is 5 %.
 """
 
 
@@ -103,7 +104,7 @@ def tooth_draft(request: ImportRequest, name: str, progress: Progress) -> Draft:
 def _enamel_note(image: Image, labels: Labels) -> list[str]:
     """Return a warning if the enamel does not lie on bright voxels.
 
-    An error is raised if the labels belong to another image.
+    Raise an error if the labels do not belong to this image.
     """
     placed = on_grid_of(labels, image)
     # the lower limit of the brightness of enamel is known only in Hounsfield units
@@ -134,7 +135,7 @@ def _tooth(labels: Labels) -> Labels:
 
 
 def _site(tooth: Labels, *, at_lesion: bool) -> tuple[Array, str]:
-    """Return the centre of the largest lesion or of the tooth [mm, LPS], and a sentence."""
+    """Return the centre [mm, LPS] of the largest lesion or of the tooth, and a message on it."""
     from scipy.ndimage import label
 
     image = tooth.image
@@ -163,7 +164,7 @@ def _site(tooth: Labels, *, at_lesion: bool) -> tuple[Array, str]:
 
 
 def _draw_tooth(image: Image, tooth: Labels, centre_mm: Array, file: Path) -> None:
-    """Draw slices of an image with the layers of a tooth, through a point [mm, LPS]."""
+    """Draw slices through a point [mm, LPS] of an image, with the layers of a tooth."""
     low = np.array(tooth.image.origin_mm)
     high = low + tooth.image.spacing_mm * (np.array(tooth.image.values.shape) - 1)
     masks = sorted(

@@ -189,7 +189,7 @@ class ImportRequest:
 
     @property
     def is_soft(self) -> bool:
-        """True if the import is of a soft organ.
+        """True if a soft organ is imported.
 
         This is the case if moduli are given for parts of the region, or if the name of the region
         contains a word for a soft organ.
@@ -265,8 +265,8 @@ USUAL = (
 JOINTS_MM = {"glenoid": 18.0, "femoral-head": 20.0, "humeral-head": 18.0}
 """Distance from the site, perpendicular to its normal, up to which a surface is articular [mm].
 
-For the glenoid, the distance is half of its height of 37 mm. For the heads, whose radii are 21 to
-27 mm, the distance selects a spherical cap (`meshes.surfaces.glenoid`,
+For the glenoid, the distance is half of the glenoid's height of 37 mm. For the heads, whose radii
+are 21 to 27 mm, the distance selects a spherical cap (`meshes.surfaces.glenoid`,
 `meshes.surfaces.landmarks`).
 """
 KEYS = {
@@ -313,7 +313,7 @@ class Placed:
 
 
 def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str]:
-    """Return the site of a request on a surface, and a sentence that describes the site.
+    """Return the site on a surface that a request selects, and a sentence that describes it.
 
     The site is None if the request names no site and the usual site is not found.
 
@@ -352,7 +352,8 @@ def _at_point(
     Raises
     ------
     InputError
-        If the point is not on the surface. The message has the coordinates of the request.
+        If the point is not on the surface. The message gives the point in the coordinate system of
+        the request.
     """
     centre = 1e-3 * np.array(point)
     try:
@@ -388,9 +389,9 @@ def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
 def kept_clear(
     request: ImportRequest, labels: Labels | None, report: Progress
 ) -> tuple[dict[str, Surface], list[str]]:
-    """Return the surfaces of structures that the tool must not touch, and sentences for the user.
+    """Return the surfaces of structures that the tool must not touch, and messages for the user.
 
-    The sentences describe the structures.
+    The messages describe these structures.
 
     The surfaces are keyed by the names that `plain_names` returns.
 
@@ -425,7 +426,7 @@ def kept_clear(
 
 
 def plain_names(names: Sequence[str]) -> list[str]:
-    """Convert names of labels to names that are allowed in a scene.
+    """Convert the names of labels to names that a scene allows.
 
     The converted names consist of ASCII letters, digits and underscores, and are unique.
     """

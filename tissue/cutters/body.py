@@ -17,16 +17,17 @@ from tissue.cutters.profile import Arc, Line, Piece, Profile
 
 ON_SURFACE = 3000
 INSIDE = 1000
-"""Approximate largest number of points inside a tool; chosen for pictures.
+"""Approximate largest number of points inside a tool that `body_points` returns.
 
-`ON_SURFACE` is this number for points on the surface.
+The number is chosen for pictures. `ON_SURFACE` is the corresponding number for points on the
+surface.
 """
 CONVEX = 1e-9
-"""Largest sine of a right turn of a convex outline that counts as a rounding error."""
+"""Sine of a right turn of an outline below which the turn counts as a rounding error."""
 
 
 def body_points(profile: Profile, *, spacing_m: float) -> Array:
-    """Return points of a body of revolution for pictures and bounding boxes [m], shape (n, 3).
+    """Return points [m], shape (n, 3), of a body of revolution for pictures and bounding boxes.
 
     The origin is at the tip. The points lie on the cutting and the smooth surface up to the top of
     the profile, and on a lattice inside. They also lie on each circle around the axis at which the
@@ -54,7 +55,7 @@ def _ring(radius: float, height: float, count: int) -> Array:
 def _inside(profile: Profile, spacing: float) -> Array:
     """Return points of a cubic lattice inside a profile.
 
-    The depth of each point is more than half the spacing.
+    Each point is deeper below the surface than half the spacing.
     """
     reach = profile.radius_m
     (low, high) = profile.height_range_m
@@ -108,7 +109,7 @@ def outline_table(profile: Profile) -> OutlineTable:
 
 
 def _row(piece: Piece) -> list[float]:
-    """Return one piece as ten numbers."""
+    """Return one piece as a row of `OutlineTable.shape`."""
     if isinstance(piece, Arc):
         half = 0.5 * (piece.last - piece.first)
         angles = np.array([piece.first + half, piece.first, piece.last])
@@ -152,15 +153,16 @@ def _is_convex(pieces: tuple[Piece, ...]) -> bool:
 
 
 MEDIAL_TOLERANCE_M = 4e-6
-"""Largest error of the union of balls due to the approximation of the axis by polylines [m].
+"""Allowed error of the union of balls if polylines approximate the medial axis [m].
 
 The error is the distance by which a ball of the true axis extends beyond this union.
 """
 STRAIGHT_M = 1e-6
-"""Largest deviation of the polylines in the space of radius, height and ball radius [m].
+"""Largest deviation of the polylines from the true medial axis [m].
 
-The value is a fourth of the tolerance. A ball extends beyond the union by at most twice the
-deviation, and the two steps of sampling and merging each add one deviation.
+The deviation is measured in the space of radius, height and ball radius. The value is a fourth of
+`MEDIAL_TOLERANCE_M`. A ball extends beyond the union by at most twice the deviation, and the two
+steps of sampling and merging each add one deviation.
 """
 FIRST_SAMPLES = 9
 HALVINGS = 26
@@ -171,9 +173,9 @@ HALVINGS = 26
 The smallest intervals have 2e-9 of the length of a piece.
 """
 BISECTIONS = 44
-"""Number of halvings of the interval of a ball's radius.
+"""Number of bisection steps that find the radius of an inscribed ball.
 
-The interval is then 2e-14 m in the largest tool, far less than `TOUCH_M`.
+In the largest tool, the remaining interval is 2e-14 m, far less than `TOUCH_M`.
 """
 TOUCH_M = 1e-10
 """Distance by which a ball may extend beyond the outline because of rounding errors [m]."""
@@ -224,7 +226,7 @@ Touch = Callable[[Array], tuple[Array, Array]]
 
 
 def _touches(pieces: tuple[Piece, ...]) -> list[Touch]:
-    """Return what an inscribed ball can touch: each piece, and each reentrant corner.
+    """Return a map for each piece and each reentrant corner that an inscribed ball can touch.
 
     A reentrant corner points into the tool.
     """
@@ -242,7 +244,7 @@ def _touches(pieces: tuple[Piece, ...]) -> list[Touch]:
 
 
 def _fan(corner: Array, first: float, turn: float) -> Touch:
-    """Return the contact at a corner, with normals between the normals of the adjacent pieces."""
+    """Return the map for a corner, with normals between the normals of the adjacent pieces."""
 
     def touch(share: Array) -> tuple[Array, Array]:
         angle = first + share * turn
@@ -309,7 +311,7 @@ def _deviation(balls: Array, starts: Array, ends: Array) -> Array:
 
 
 def _merged(balls: Array) -> Ints:
-    """Return the samples that represent a polyline (Douglas and Peucker 1973)."""
+    """Return the indices of the samples that represent a polyline (Douglas and Peucker 1973)."""
     kept = {0, len(balls) - 1}
     spans = [(0, len(balls) - 1)]
     while spans:

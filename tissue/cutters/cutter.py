@@ -18,19 +18,19 @@ from tissue.cutters.profile import Piece, Profile
 TABLE_ERROR_VOXELS = 2.0e-4
 """Error of the distance table [voxel], curvature x cell^2 / 8.
 
-The error is less than one step of the stored distances, which is 1/4096 voxel. `CELLS_PER_VOXEL`
-takes precedence over this error.
+The error is less than one step of the stored distances, which is 1/4096 voxel. The limits
+`CELLS_PER_VOXEL` take precedence over this error.
 """
 CELLS_PER_VOXEL = 2.0, 6.0
 """Smallest and largest number of table cells per voxel.
 
-From a tool radius of 156 voxels, two cells are enough for `TABLE_ERROR_VOXELS`. Below a radius of
+Above a tool radius of 156 voxels, two cells are enough for `TABLE_ERROR_VOXELS`. Below a radius of
 17 voxels, six cells are not enough. At a radius of 5 voxels the error is 7e-4 voxels.
 """
 EDGE_REACH_VOXELS = 3.0
 """Distance from an edge of the profile [voxel] within which voxels are cut one by one.
 
-The distance is larger than the half diagonal of a block.
+The distance is larger than the half diagonal of a block of 2 x 2 x 2 voxels.
 """
 PATCH = 128
 SMALL_PATCH = 8
@@ -234,9 +234,9 @@ class Cutter:
 
 _tables: Kept[DistanceTable] = Kept(8)
 _shells: Kept[PointShell] = Kept(8)
-"""Cache of point shells, by profile and spacing of elements.
+"""Cache of point shells, keyed by profile and spacing of elements.
 
-`_tables` is the cache of distance tables, by profile and spacing of voxels.
+`_tables` is the cache of distance tables, keyed by profile and spacing of voxels.
 """
 
 
@@ -264,8 +264,8 @@ def spiral(piece: Piece, *, spacing_m: float) -> tuple[Array, Array, Array]:
 def _patches(points: Array, chosen: Ints) -> list[Ints]:
     """Return indices of points, ordered in patches of `SMALL_PATCH` neighbours.
 
-    The points are repeatedly halved along the longest side. Consecutive small patches form patches
-    of `PATCH` points. The last patch may be smaller.
+    The set of points is repeatedly split in half along its longest side. Consecutive small patches
+    form patches of `PATCH` points. The last patch may be smaller.
     """
     if len(chosen) <= SMALL_PATCH:
         return [chosen]

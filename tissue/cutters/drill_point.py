@@ -88,7 +88,7 @@ class DrillPoint:
 
     @property
     def indentation(self) -> float:
-        """Ratio of the thrust on the chisel edge to that on an edge with the reference rake."""
+        """Thrust on the chisel edge, divided by the thrust on an edge with the reference rake."""
         from scipy.optimize import brentq
 
         wedge = atan(tan(0.5 * self.point_angle_rad) * sin(CHISEL_ANGLE))
@@ -101,7 +101,7 @@ class DrillPoint:
 def _merchant(angles: Array) -> Array:
     """Return tangential and radial load divided by k, shape (n, 2).
 
-    The arguments are the differences of friction angle and rake.
+    `angles` contains n differences between friction angle and rake [rad].
     """
     loads = 2.0 * np.column_stack([np.cos(angles), np.sin(angles)])
     return loads / (1.0 - np.sin(angles))[:, None]

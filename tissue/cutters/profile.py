@@ -66,8 +66,8 @@ class Line:
 
         ``points`` contains (radius, height) [m], shape (n, 2).
 
-        Each curvature is that of the curve that passes through the point and has a constant
-        distance from the piece.
+        The curvature at a point is the curvature of the offset curve of the piece through this
+        point.
         """
         a = np.asarray(self.start)
         b = np.asarray(self.end)
@@ -125,8 +125,7 @@ class Arc:
 
         ``points`` contains (radius, height) [m], shape (n, 2).
 
-        Each curvature is that of the curve that passes through the point and has a constant
-        distance from the arc.
+        The curvature at a point is the curvature of the offset curve of the arc through this point.
         """
         from_centre = points - np.asarray(self.centre)
         reach = np.linalg.norm(from_centre, axis=1)
@@ -208,8 +207,7 @@ class Profile:
         """Return the signed distance [m], negative inside, and the meridional curvature [1/m].
 
         Both are evaluated at ``points``, which contains (radius, height) [m], shape (n, 2). The
-        curvature is that of the curve that passes through the point and has a constant distance
-        from the outline.
+        curvature at a point is the curvature of the offset curve of the outline through this point.
         """
         seen = [piece.seen_from(points) for piece in self.pieces]
         distances = np.stack([distance for distance, _ in seen])
@@ -221,7 +219,7 @@ class Profile:
 
 
 def _inside(outline: Array, points: Array) -> Flags:
-    """Return whether (radius, height) points are inside a closed outline.
+    """Return True for each (radius, height) point that is inside a closed outline.
 
     The method counts the crossings of a ray in the direction of +radius.
     """

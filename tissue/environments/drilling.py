@@ -74,10 +74,10 @@ class Drilling(ContactEnvironment):
 
     Here ``deepest`` is the largest depth so far. The target depth d is measured on the axis of the
     bur, from the surface to 0.5 mm below the junction. ``reward_terms`` contains the two parts of
-    the potential as ``progress`` and ``overdepth``. No policy scores above 1; without any action
-    the score is -0.1. An episode ends when the bur has cut and is again 0.8 mm above the surface,
-    or when it is 1 mm below the target depth. An episode is truncated after 5 s. Force above 2 N
-    reduces the reward. Heat is not modelled.
+    the potential as ``progress`` and ``overdepth``. The score is the sum of rewards in an episode.
+    It is at most 1; without any action it is -0.1. An episode ends when the bur has cut and is
+    again 0.8 mm above the surface, or when it is 1 mm below the target depth. An episode is
+    truncated after 5 s. Force above 2 N reduces the reward. Heat is not modelled.
 
     Parameters
     ----------
@@ -212,9 +212,7 @@ class Drilling(ContactEnvironment):
         return False
 
     def _set_speed(self, response: Response, motion: ToolMotion) -> None:
-        """Set the cutting speed, and the share of the thrust that the tooth bears when the bur is
-        at rest.
-        """
+        """Set the cutting speed, and the share of the thrust that the tooth bears at rest."""
         edge = max(float(response.edge[2]), 0.0)
         motion.speed_m_s = abs(self._speed)
         rests = self._speed == 0.0 and self._thrust > 0.0 and edge > 0.0

@@ -29,8 +29,9 @@ from tissue.simulation.builders.cutting import VoxelBone
 from tissue.simulation.loop import Stepper
 
 LAYER_BITS = 255
-"""Mask of the layer in the material word of a voxel; the upper half of the word is the density
-[kg/m3].
+"""Mask of the layer in the material word of a voxel.
+
+The upper half of the word is the density [kg/m3].
 """
 
 
@@ -40,7 +41,7 @@ class RestorableBone:
     Parameters
     ----------
     volume
-        Voxels with layers.
+        Voxels of the bone with their layers.
     cutter
         Cutter of the environment.
     shell_spacing_m
@@ -112,7 +113,7 @@ class RestorableBone:
 
 
 FORCE_WEIGHT = 1.0
-"""Penalty for a force of twice the limit during a whole episode."""
+"""Penalty for an episode in which the force is always twice the limit."""
 TIME_WEIGHT = 0.1
 """Penalty for the time of a whole episode.
 
@@ -129,7 +130,7 @@ class Entry:
     name
         Name of the quantity.
     scale
-        Value of the quantity, in `unit`, that becomes 1 in the observation. Larger values are
+        Value of the quantity, in `unit`, that is shown as 1 in the observation. Larger values are
         clipped to 1.
     unit
         Unit of the scale.
@@ -153,7 +154,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
     to [-1, 1]. Loads are means over the step. The reward of a step is::
 
         P(after) - P(before)
-            - 1.0 / M * sum over its ticks of max(0, F / limit - 1)
+            - 1.0 / M * sum over the ticks of max(0, F / limit - 1)
             - 0.1 * ticks / M
 
     Here P is the potential of the task, and F is the magnitude of the contact force in a tick of
@@ -384,7 +385,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         """Restore the tissue, and apply the random draws of the episode."""
 
     def _tick(self, command: Array, count: int) -> Array:
-        """Advance by ticks; return force [N] and torque [N m] on the tool, shape (6,)."""
+        """Advance by `count` ticks; return force [N] and torque [N m] on the tool, shape (6,)."""
         self._command = command
         # The motions of environments do not depend on the time.
         self.stepper.step(0, step_s=count * TICK_S)
@@ -412,5 +413,5 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 
 
 def _force(wrench: Array) -> float:
-    """Return the magnitude of the force of a wrench [N]."""
+    """Return the magnitude [N] of the force in a wrench."""
     return sqrt(wrench[:3].dot(wrench[:3]))

@@ -22,7 +22,8 @@ The burr always stays at least 1.6 mm from the sides of the block and 2.5 mm fro
 SPACING_MM = 0.2
 """Edge of a voxel [mm]: a twentieth of the diameter of the burr.
 
-On the tested paths, the forces differ by at most 2 % from the forces with voxels of 0.1 mm.
+For the paths that were compared, the forces differ by at most 2 % from the forces with voxels of
+0.1 mm.
 """
 BURR_MM = 4.0
 FLUTES = 6
@@ -63,9 +64,10 @@ class Milling(ContactEnvironment):
         P = (volume removed of the target - volume removed beyond the tolerance)
             / volume of the target
 
-    ``reward_terms`` contains the two parts of the potential as ``progress`` and ``overcut``. No
-    policy scores above 1; without any action the score is -0.1. An episode ends when 99 % of the
-    target are removed, and is truncated after 12 s. Force above 20 N reduces the reward.
+    ``reward_terms`` contains the two parts of the potential as ``progress`` and ``overcut``. The
+    score is the sum of rewards in an episode. It is at most 1; without any action it is -0.1. An
+    episode ends when 99 % of the target are removed, and is truncated after 12 s. Force above 20 N
+    reduces the reward.
 
     Parameters
     ----------
@@ -159,7 +161,7 @@ class Milling(ContactEnvironment):
             motion.heading[0] = moved / length
 
     def _shares(self) -> tuple[float, float]:
-        """Return the volumes removed from the target and beyond the tolerance.
+        """Return the removed volume of the target, and the volume removed beyond the tolerance.
 
         Both volumes are divided by the volume of the target.
         """
@@ -192,8 +194,9 @@ class Milling(ContactEnvironment):
 
 
 def _block(pocket_mm: tuple[float, float, float]) -> VoxelVolume:
-    """Return the block with its layers: pocket, margin at the wall of the pocket, and remaining
-    bone.
+    """Return the block with its layers.
+
+    The layers are the pocket, the margin at the wall of the pocket, and the remaining bone.
     """
     counts = np.round(np.array(BLOCK_MM) / SPACING_MM).astype(int)
     origin = np.array([-0.5, -0.5, -1.0]) * SPACING_MM * counts

@@ -24,12 +24,13 @@ EDGE_M = 4e-3
 """Edge length of the tetrahedra [m]: half the radius of the ball and of the nodule."""
 NODULE_RADIUS_M = 8e-3
 NODULE_DEPTH_M = 13e-3
-"""Radius of the nodule, and depth of its centre [m]; the nodule lies 5 mm below the surface."""
+"""Depth of the nodule's centre [m]. The top of the nodule lies 5 mm below the surface."""
 MODULUS_KPA = 5.0
 NODULE_TIMES = 20.0
-"""Young's modulus used in the solution [kPa], and ratio of the nodule's modulus to it.
+"""Ratio of the nodule's Young's modulus to the modulus of the tissue.
 
-Forces are scaled to the modulus of the episode.
+The tissue is solved with the modulus `MODULUS_KPA`. The forces are then scaled to the modulus of
+the episode.
 """
 POISSON_RATIO = 0.45
 """Poisson's ratio of the simulated tissue.
@@ -42,8 +43,9 @@ REACH_M = 22e-3
 LOWEST_M = -3e-3
 START_M = 1e-3
 CEILING_M = 3e-3
-"""Lowest height of the tip, height at the start, and height at which the tip counts as lifted [m].
+"""Height of the tip above the surface at which the tip counts as lifted [m].
 
+`START_M` is the height at the start. `LOWEST_M` is the lowest height, which is below the surface.
 At the lowest height, the force of the linear elastic tissue differs by less than 5 % from the force
 of a hyperelastic tissue.
 """
@@ -78,10 +80,10 @@ class Palpation(ContactEnvironment):
         P = max(0, 1 - d / 10 mm)
 
     Here d is the lateral distance between tip and nodule. The potential is 0 at the start, and is
-    the entry ``progress`` of ``reward_terms``. No policy scores above 1; without any action the
-    score is -0.1. An episode ends when the tip has touched the tissue and is again 3 mm above the
-    surface. An episode is truncated after 6 s. The position of the tip at the end is the estimate
-    of the nodule's position. Force above 0.4 N reduces the reward.
+    the entry ``progress`` of ``reward_terms``. The score is the sum of rewards in an episode. It is
+    at most 1; without any action it is -0.1. An episode ends when the tip has touched the tissue
+    and is again 3 mm above the surface. An episode is truncated after 6 s. The position of the tip
+    at the end is the estimate of the nodule's position. Force above 0.4 N reduces the reward.
 
     Parameters
     ----------
@@ -169,7 +171,7 @@ class Palpation(ContactEnvironment):
         self._touched = False
 
     def begin(self, motion: ToolMotion) -> None:
-        """Place the tool at the current position of the tip, converted to the frame of the slab.
+        """Place the tool at the current position of the tip, in the frame of the slab.
 
         The nodule lies below the origin of this frame.
         """

@@ -27,13 +27,13 @@ from tissue.scene.tool import Tool
 from tissue.simulation.load_record import SENSITIVITIES, LayerLoads, LoadRecord, record_loads
 
 DENSITY = Prior(1.0, 0.85, 1.18)
-"""Prior of the factor on a layer's density, with a standard deviation of 10 %.
+"""Prior of a density factor, by which a layer's density is multiplied.
 
-The deviation is an assumption: laws that convert CT numbers to density differ by this amount
-between scanners and authors.
+The standard deviation is 10 %. It is an assumption: laws that convert CT numbers to density differ
+by this amount between scanners and authors.
 """
 FACTOR = "density_factor"
-"""Value of `FreeConstant.field` for the factor on a density."""
+"""Value of `FreeConstant.field` for a density factor."""
 FIELDS = {
     **{field.removesuffix("_Pa") + "_N_mm2": (field, N_MM2) for field in CuttingCoefficients.CHIP},
     **{field.removesuffix("_N_m") + "_N_mm": (field, N_MM) for field in CuttingCoefficients.EDGE},
@@ -41,7 +41,7 @@ FIELDS = {
     "size_exponent": ("size_exponent", 1.0),
     "minimum_chip_um": ("minimum_chip_m", UM),
 }
-"""Field of `CuttingCoefficients` and factor to the unit of this field, for each constant."""
+"""For each constant: field of `CuttingCoefficients`, and factor to the unit of that field."""
 
 
 @dataclass(frozen=True)
@@ -68,19 +68,19 @@ class FreeConstant:
 
 @dataclass(frozen=True, eq=False)
 class CuttingForward:
-    """Loads of a recorded cut as a function of its free constants, see `Forward`.
+    """Loads of a recorded cut as a function of free constants, see `Forward`.
 
     Attributes
     ----------
     record
         Geometry of the cut.
     coefficients
-        Cutting coefficients of each layer. Free constants replace their values in these
-        coefficients.
+        Cutting coefficients of each layer. In `loads`, the values of the free constants replace the
+        corresponding coefficients.
     free
         Free constants.
     times_s
-        Times of the loads on the clock of the poses [s], shape (n,).
+        Times of the loads [s], shape (n,), on the clock of the poses.
     notes
         Assumptions, in words.
     """
@@ -111,10 +111,12 @@ class CuttingForward:
         return np.stack(columns, axis=-1)
 
     def averaged_as(self, log: MeasuredLoads) -> tuple["CuttingForward", MeasuredLoads]:
-        """Return the cut with loads averaged like the samples of a log, and the log to compare.
+        """Return the cut with loads averaged like the samples of a log, and the adapted log.
 
         A sample of the log is a mean over a block of time. The loads of the cut are averaged over
-        blocks of the same duration, at three times the rate of the samples.
+        blocks of the same duration, at three times the rate of the samples. The returned log treats
+        its samples as values at one time, because the loads of the cut are already averages over
+        blocks.
 
         A fit computes loads thousands of times, so the averages are computed once, before the fit.
         """
@@ -135,7 +137,7 @@ class CuttingForward:
         return replace(self, record=record, times_s=times_s), replace(log, within_s=(0.0,))
 
     def _with(self, x: Array) -> tuple[tuple[CuttingCoefficients, ...], Array]:
-        """Return the coefficients and the density factors of each layer.
+        """Return the cutting coefficients and the density factor of each layer.
 
         `x` contains the values of the free constants, shape (p,).
         """
@@ -173,11 +175,12 @@ def cutting_forward(
         Tips [m], shape (n, 3), and orientations (x, y, z, w), shape (n, 4), of the tool in the
         scene's frame.
     free
-        Free constants: full names, or a table with parts of the name, such as
-        ``cutting.trabecular``, ``cutting.edge`` or ``cutting.trabecular.radial``. Default: all
-        constants that have a range and are not set by the scene. An uncertainty band varies the
-        same constants. The density exponent is free only if a density differs from the reference
-        density of the coefficients. The factor on each layer's density is always free.
+        Selection of the free constants: full names, or the table followed by parts of the name,
+        such as ``cutting.trabecular``, ``cutting.edge`` or ``cutting.trabecular.radial``. Default:
+        all constants that have a range and are not set by the scene. An uncertainty band varies the
+        same constants. The density exponent is free only if a layer's density differs from the
+        reference density of its cutting coefficients. The factor on each layer's density is always
+        free.
     cores
         Processor cores to use; default all.
     progress
@@ -261,20 +264,19 @@ SPINS = (0.5, 1.0, 2.0)
 DEPTHS = (0.25, 0.5, 1.0)
 """Depths of cut in logs that could be measured next, relative to the radius of the tool.
 
-`FEEDS` and `SPINS` are the feeds and spins of these logs, relative to the feed and the spin of the
-measured log.
+`FEEDS` and `SPINS` are the feeds and spindle speeds of these logs, relative to the measured log.
 
-Feed and spin change the chip force but not the edge force. Logs at several feeds and spins
-therefore separate the coefficients of the two forces. The depth changes the directions of the
-forces of the cutting elements.
+Feed and spindle speed change the chip force but not the edge force. Logs at several feeds and
+speeds therefore separate the coefficients of the two forces. The depth changes the directions of
+the forces of the cutting elements.
 """
 UP = (0.0, 0.0, 1.0)
 TICKS = 60
 STEADY = slice(30, 60)
 """Ticks of a recorded cut over which the steady load is averaged.
 
-The first pose lies inside bone, so the tool begins in a cavity of its own shape. It has left this
-cavity before these ticks. `TICKS` is the number of ticks of a recorded cut.
+The first pose lies inside bone, so the tool begins in a cavity of its own shape. The tool has left
+this cavity before tick 30. `TICKS` is the number of ticks of a recorded cut.
 """
 TRAVEL = {"slot": 1.0, "plunge": 0.1}
 """Travel of the tool in each kind of recorded cut, relative to the radius of the tool.
@@ -297,7 +299,7 @@ The first `AIR` ticks are in air and show the bias of the sensor.
 def cutting_problem(
     scene: Scene, log: MeasuredLog, free: Sequence[str], *, cores: int | None, progress: Progress
 ) -> Problem:
-    """Return the data of the fit of a cut through bone or a tooth, see `fit_scene`."""
+    """Return the data for fitting a cut through bone or a tooth, see `fit_scene`."""
     progress("recording the geometry of the log", 0.0)
     with names_of_caller({"motion": "measured"}):
         forward = cutting_forward(
@@ -323,7 +325,7 @@ def cutting_problem(
 
 
 def fixed_densities(scene: Scene, forward: CuttingForward) -> dict[str, float]:
-    """Return the reference densities at which the free coefficients are valid, by their names."""
+    """Return the reference densities, keyed by name, at which the free coefficients are valid."""
     fixed = {}
     for at in sorted({each.layer for each in forward.free if each.field != FACTOR}):
         layer = forward.record.layer_names[at]
@@ -338,7 +340,8 @@ def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
     Parameters
     ----------
     like
-        Cut of the log. Its tool, touched layers, feed during cutting and free constants are used.
+        Cut of the log. The candidates use the tool, the touched layers, the feed and the free
+        constants of this cut.
     """
     tool = like.record.scene.tool
     assert isinstance(tool, Tool)
@@ -360,7 +363,7 @@ def cutting_candidates(like: CuttingForward) -> dict[str, CuttingForward]:
 
 
 def _second_of(like: CuttingForward, layer: int, steady: LayerLoads) -> CuttingForward:
-    """Return the loads of a log with 0.25 s in air and then 1 s of steady loads in one layer."""
+    """Return a cut with no load for 0.25 s, followed by 1 s of steady loads in one layer."""
     density = round(like.record.layers[layer].nodes.middle_kg_m3)
     ticks = np.repeat(steady.unit, LASTS, axis=2)
     ticks[:, :, :AIR] = 0.0
@@ -383,7 +386,7 @@ def _feed_m_s(like: CuttingForward) -> float:
 
 
 def _steady(scene: Scene, tool: Tool, kind: str, depth_m: float) -> tuple[LayerLoads, float]:
-    """Return the mean unit loads of a steady cut through a block, and the feed of the cut [m/s]."""
+    """Return the mean `LayerLoads` of a steady cut through a block, and the feed [m/s]."""
     radius_m = 0.5e-3 * tool.diameter_mm
     travel_m = TRAVEL[kind] * radius_m
     deep = np.array([0.0, 0.0, -depth_m])

@@ -1,4 +1,4 @@
-"""Constants of a scene from a measured force log, or from a table of steady loads."""
+"""Fit of a scene's constants to a measured force log, or to a table of steady loads."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -27,7 +27,10 @@ from tissue.scene.scene import Scene
 
 FITTED = "fit a scene of bone, a tooth or an organ under a probe"
 SHOWN = 5
-"""Largest number of combinations in the verdicts, and of logs to measure next in a report."""
+"""Largest number of entries in each of two lists of a report.
+
+The lists contain combinations of constants, and logs that could be measured next.
+"""
 NATS = 0.1
 """Information gain below which another log is not recommended [nats].
 
@@ -44,7 +47,7 @@ class SceneFit(Fitted):
     posterior
         Posterior of the constants given the log.
     identified
-        Constants and combinations that the log determines.
+        Constants, and combinations of constants, that the log determines.
     gains
         Expected information gains of logs that could be measured next, the largest first.
     block_s
@@ -106,7 +109,7 @@ class SceneFit(Fitted):
 
     @property
     def verdicts(self) -> list[str]:
-        """See `Fitted`; also sentences on combinations, priors and the log to measure next."""
+        """Sentences of `Fitted`, and sentences on combinations, priors and the next log."""
         found = super().verdicts
         for combined in self.identified.combinations[:SHOWN]:
             # A constant whose prior has the median 0 has no weight over that median.
@@ -214,7 +217,7 @@ class SceneFit(Fitted):
 
     @property
     def tables(self) -> dict[str, list[dict[str, str]]]:
-        """See `Fitted`: logs that could be measured next."""
+        """Table of the logs that could be measured next, see `Fitted`."""
         rows = [
             {
                 "log of a second": each.label,
@@ -233,7 +236,7 @@ class TableFit(SceneFit):
     Attributes
     ----------
     table
-        The table.
+        Table of steady loads.
     """
 
     table: SteadyTable
@@ -275,7 +278,7 @@ class TableFit(SceneFit):
 
     @property
     def tables(self) -> dict[str, list[dict[str, str]]]:
-        """See `Fitted`: comparison of the cutting laws."""
+        """Table that compares the cutting laws, see `Fitted`."""
 
         def shown(value: float | None, form: str) -> str:
             return "" if value is None else format(value, form)
@@ -308,8 +311,8 @@ def fit_table(
     """Fit the constants of a scene's bone to a table of steady loads, and compare cutting laws.
 
     The fit finds the maximum of the posterior with the cited ranges as priors. The errors of the
-    rows are assumed independent and normal. The parameters and the errors that are raised are
-    described in `tissue.fitting.table.table_forward`.
+    rows are assumed independent and normal. See `tissue.fitting.table.table_forward` for the
+    parameters and the errors.
     """
     progress("computing the loads of the drill", 0.0)
     forward = table_forward(scene, table, free)

@@ -1,4 +1,4 @@
-"""Folder of a fit: constants for scenes, numbers, pictures, and a report as one file."""
+"""Output folder of a fit: constants for scenes, numbers, pictures, and a report in one file."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,7 @@ from tissue.system.html import html_list, html_page, html_picture
 from tissue.system.owned_folder import OwnedFolder
 
 DIGITS = 9
-"""Significant digits of a number. The rounding is far smaller than any interval."""
+"""Significant digits of written numbers. The rounding is far smaller than any interval."""
 
 
 def write_fitted(
@@ -38,10 +38,10 @@ def write_fitted(
     path
         File to write.
     entries
-        The n constants by their names, ``TABLE.MATERIAL.NAME``.
+        The n constants, keyed by name: ``TABLE.MATERIAL.NAME``.
     correlation
-        Correlation of the standard normal numbers of these constants, shape (n, n), see
-        `tissue.materials.constants.Prior`.
+        Correlation, shape (n, n), of the standard normal numbers from which the constants are
+        computed, see `tissue.materials.constants.Prior`.
     fixed
         Constants that have no range, and on which the fitted constants depend.
     remark
@@ -84,7 +84,7 @@ PICTURES = {
     "Constants before and after, 90 % intervals": "constants.png",
     "Measured and fitted": "measured.png",
 }
-"""Pictures of a report by their titles."""
+"""File name of each picture in a report, keyed by the title of the picture."""
 
 
 def write_fit(fit: Fitted, folder: Path, *, overwrite: bool) -> None:
@@ -97,7 +97,7 @@ def write_fit(fit: Fitted, folder: Path, *, overwrite: bool) -> None:
     folder
         Output folder for `FILES`.
     overwrite
-        Replace another fit in the folder.
+        True to replace another fit in the folder.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def write_fit(fit: Fitted, folder: Path, *, overwrite: bool) -> None:
 
 
 def _write_constants(fit: Fitted, path: Path, digest: str) -> None:
-    """Write the file for scenes: constants of the material with their correlation."""
+    """Write the fitted material constants and their correlation to a file that a scene can use."""
     reservations = {
         "at its prior": ", which does not narrow the cited range",
         "doubtful": ", doubtful: it contradicts the cited range or the clocks of the log",
@@ -149,7 +149,7 @@ def _key_options(fit: Fitted) -> str:
 
 
 def _numbers(fit: Fitted, digest: str) -> dict[str, object]:
-    """Return the results that every kind of fit has, for programs."""
+    """Return the machine-readable results that every kind of fit has."""
     return {
         "format": 1,
         "tissue": package_version(),
@@ -174,7 +174,7 @@ def _numbers(fit: Fitted, digest: str) -> dict[str, object]:
 
 
 def _report(fit: Fitted, folder: Path) -> str:
-    """Return the content of the report, with the pictures in a folder."""
+    """Return the HTML content of the report, including the pictures that lie in `folder`."""
     parts = [
         f"<p>{escape(fit.name)}, {fit.source} {escape(fit.path.name)}, tissue {package_version()}."
     ]

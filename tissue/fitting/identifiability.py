@@ -28,15 +28,16 @@ DETERMINED = 0.5
 The log then holds more than three times the information of the prior: 1 / 0.5**2 - 1 = 3.
 """
 LEAST_SHARE = 0.1
-"""Component of a direction below which the constant is not named in a combination.
+"""Component of an eigenvector below which its constant is not named in a combination.
 
-A direction is an eigenvector of the information of the log, of length 1, with a component for each
+The eigenvectors are those of the log's information. Each one has length 1 and a component for each
 constant. A component below 0.1 adds less than 1 % to the squared length.
 """
 ALONE = 0.95
-"""Squared component of a direction above which a single constant represents the direction.
+"""Squared component of an eigenvector above which it is reported as a single constant.
 
-Such a direction is reported as that constant and not as a combination.
+The constant is the one that the component belongs to. Other eigenvectors of the log's information
+that are determined are reported as combinations of constants.
 """
 BETTER = 0.5
 """Ratio of standard deviations below which a combination counts as better known than its constants.
@@ -49,7 +50,7 @@ prior.
 
 @dataclass(frozen=True)
 class Combination:
-    """Weighted sum of constants that a log determines better than any single constant.
+    """Weighted sum of constants; a log determines this sum better than any single constant.
 
     An example is the sum of a chip and an edge coefficient at one feed. The sum approximates a
     weighted mean of loads near the fitted values.
@@ -57,8 +58,8 @@ class Combination:
     Attributes
     ----------
     weights
-        Weight by name of the constant. A weight applies to the constant divided by the median of
-        its prior. The absolute weights sum to 1.
+        Weights, keyed by the name of the constant. A weight applies to the constant divided by the
+        median of its prior. The absolute weights sum to 1.
     value, low, high
         Median, 5 and 95 % quantiles.
     contraction
@@ -87,8 +88,8 @@ class Identified:
         Standard deviation of the standard normal number of each constant after the fit, shape
         (p,). It is 1 before the fit.
     eigenvalues
-        Eigenvalues of the information of the log relative to the information of the prior, shape
-        (p,), largest first.
+        Eigenvalues of the log's information relative to the prior's information, shape (p,),
+        largest first.
     combinations
         Combinations that are known better than their single constants.
     """
@@ -117,10 +118,11 @@ class Identified:
 def identified(posterior: Posterior) -> Identified:
     """Return the constants and the combinations that a log determines.
 
-    The combinations follow from the eigenvectors of the information of the log about z, the
-    standard normal numbers of the constants, with free nuisance parameters. Each eigenvector is the
-    gradient of a weighted mean of the loads with respect to z. The result describes this mean,
-    because its gradient may turn along a curve on which the mean is constant.
+    Let z be the standard normal numbers of the constants. The combinations follow from the
+    eigenvectors of the log's information about z with free nuisance parameters. Each eigenvector is
+    the gradient of a weighted mean of the loads with respect to z. A combination is evaluated as
+    this mean and not as a weighted sum of z, because the gradient may change along a curve on which
+    the mean is constant.
     """
     target = posterior.target
     contraction = posterior.spreads
@@ -145,10 +147,10 @@ def identified(posterior: Posterior) -> Identified:
 
 
 def _separated(target: Target, u: Array, noise: Unpacked) -> tuple[Array, Array]:
-    """Return the whitened derivatives of the loads by z, and their part that only z explains.
+    """Return the whitened derivatives of the loads by z, and the part that only z can explain.
 
-    This part is orthogonal to the derivatives by the offset and the biases, up to their priors.
-    Both results have the shape (m * channels, p).
+    Without priors of the clock offset and the biases, this part would be orthogonal to the
+    derivatives by the offset and the biases. Both results have the shape (m * channels, p).
     """
     columns = target.whitened(target.linearised(u)[1], noise)
     of_z = columns[:, : target.constants]
@@ -160,11 +162,12 @@ def _separated(target: Target, u: Array, noise: Unpacked) -> tuple[Array, Array]
 def _combination(
     posterior: Posterior, mean: Array, direction: Array, information: float
 ) -> Combination:
-    """Return the combination for a direction of z.
+    """Return the combination for an eigenvector of the information about z.
 
-    The combination is the sum of the whitened loads with the weights `mean`, shape (m * channels,).
-    The derivative of this sum with respect to z is `information` times `direction`. Constants with
-    little influence are not named, but their uncertainty widens the interval.
+    Here z are the standard normal numbers of the constants. The combination is the sum of the
+    whitened loads with the weights `mean`, shape (m * channels,). The derivative of this sum with
+    respect to z is `information` times `direction`. Constants with little influence are not named,
+    but their uncertainty widens the interval.
     """
     target = posterior.target
     noise = posterior.nuisances
@@ -199,18 +202,18 @@ def _combination(
 
 @dataclass(frozen=True)
 class Gain:
-    """Expected gain from a candidate log.
+    """Information that a log is expected to add if it is measured next.
 
     Attributes
     ----------
     label
-        Description of the measurement.
+        Description of the candidate log.
     nats
-        Expected gain of information about all constants [nats].
+        Expected information gain about all constants [nats].
     widest
         Constant whose interval is the widest before the candidate log.
     shrinks_to
-        Width of the interval of the constant `widest` after the candidate log, divided by its width
+        Width of the interval of the constant `widest` after the candidate log, divided by the width
         before this log.
     """
 
@@ -223,19 +226,20 @@ class Gain:
 def expected_information(
     posterior: Posterior, candidates: Mapping[str, Forward], *, among: Sequence[int] = ()
 ) -> list[Gain]:
-    """Return the expected information of candidate logs, largest first.
+    """Return the expected information gains of candidate logs, largest first.
 
-    The candidates are assumed to have the same noise as the measured log. The information is half
-    the logarithm of the determinant of I + C M. I is the identity, and C is the present covariance
-    of the standard normal numbers z. M is the Fisher information of the candidate with an unknown
-    bias (Chaloner and Verdinelli 1995, linearised at the maximum).
+    The candidates are assumed to have the same noise as the measured log. The information gain is
+    0.5 ln det(I + C M). I is the identity, and C is the present covariance of the standard normal
+    numbers z. M is the Fisher information of the candidate with an unknown bias (Chaloner and
+    Verdinelli 1995, linearised at the maximum).
 
     Parameters
     ----------
     posterior
         Posterior of the measured log.
     candidates
-        Name and forward model of each candidate log, with the same constants.
+        Forward model of each candidate log, keyed by name. Each model has the constants of
+        `posterior`.
     among
         Indices of the constants among which the widest interval is searched. Default: all
         constants.
@@ -259,10 +263,11 @@ def expected_information(
 
 
 def _information(posterior: Posterior, forward: Forward) -> Array:
-    """Return the Fisher information of a log about z, shape (p, p).
+    """Return the Fisher information, shape (p, p), of a candidate log about z.
 
-    The biases and the clock offset of the log are free. The noise of a log depends on its rate, so
-    the candidate is evaluated at the rate of the measured log.
+    Here z are the standard normal numbers of the constants. The biases and the clock offset of the
+    candidate are free. The candidate is evaluated at the rate of the measured log, because the
+    noise depends on the rate.
     """
     measured = posterior.target.log
     rate_s = float(np.median(np.diff(measured.times_s)))

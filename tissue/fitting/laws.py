@@ -2,8 +2,9 @@
 
 Each law is fitted by maximum likelihood, without priors. At a given exponent of the size effect,
 thrust and torque are each linear in a chip and an edge coefficient. If the table states the scatter
-of the rows, the sum of squares follows the chi-square law. Its degrees of freedom are the number of
-loads minus the number of constants. Constants at their lower limit of 0 are not counted.
+of the rows, the sum of squared errors has a chi-square distribution. The number of degrees of
+freedom is the number of loads minus the number of constants. Constants at their lower limit of 0
+are not counted.
 
 A second misfit uses the cited ranges as priors. This misfit is the
 smallest value of a sum: the squared errors of the loads plus the squared standard normal numbers of
@@ -25,7 +26,7 @@ from tissue.scene.scene import Scene
 from tissue.simulation.load_record import SENSITIVITIES
 
 REJECTED = 0.05
-"""Limit of the probability of a larger misfit (p value), below which a law is rejected."""
+"""Probability of a larger misfit (p value) below which a law is rejected."""
 TORQUE = ("tangential_chip_Pa", "tangential_edge_N_m")
 THRUST = ("radial_chip_Pa", "radial_edge_N_m")
 """Chip and edge coefficient that a maximum-likelihood fit finds for the thrust.
@@ -40,11 +41,11 @@ are 0 or above.
 TYPICAL = np.array([1e8, 1e3])
 """Units of chip and edge coefficients [Pa, N/m], chosen to give effects of similar size."""
 EXPONENTS = np.linspace(0.0, 0.9, 19)
-"""Exponents of the size effect from which the search begins."""
+"""Exponents of the size effect at which the search for the best exponent begins."""
 PRECISION = 1e-4
-"""Precision of the exponent."""
+"""Precision of the fitted exponent of the size effect."""
 NO_EFFECT = 1e-6
-"""Singular value, relative to the largest, below which a combination has no effect on the loads."""
+"""Relative singular value below which a combination of constants has no effect on the loads."""
 LEAST_RESIDUAL = 1e-9
 """Smallest root mean square residual, relative to the mean load. It replaces 0 in an exact fit."""
 
@@ -57,7 +58,7 @@ class LawMisfit:
     ----------
     has_size_effect
         True for the law with a free exponent m and a minimum chip thickness. False for the law that
-        is linear in the chip thickness and has its edge force at any thickness.
+        is linear in the chip thickness and has the full edge force at any thickness.
     constants
         Number of constants of the maximum-likelihood fit, without the scatter.
     size_exponent
@@ -70,8 +71,9 @@ class LawMisfit:
         Akaike's information criterion, up to a constant that all laws of a table share. None if the
         table has no scatter and has so few rows that the law could fit one load exactly.
     left_out
-        Root mean square relative error of the loads of a row when the law is fitted to all other
-        rows. None if the other rows do not determine the constants.
+        Root mean square relative error of predicted loads. The loads of each row are predicted by
+        the law that is fitted to all other rows. None if the other rows do not determine the
+        constants.
     cited_chi_square, cited_p
         Misfit with the cited ranges as priors (see the description of the module), and the
         probability of a larger misfit. None without a scatter.
@@ -90,7 +92,7 @@ class LawMisfit:
 
     @property
     def name(self) -> str:
-        """The law in words."""
+        """Name of the law in words."""
         return "law with a size effect" if self.has_size_effect else "linear law"
 
 
@@ -168,7 +170,7 @@ class MaximumLikelihood:
     Parameters
     ----------
     forward
-        Function for the loads of the table's rows, each divided by its entry in
+        Forward model of the loads of the table's rows. Each load is divided by its entry in
         `SteadyTable.units`.
     table
         Measured loads.
@@ -222,7 +224,7 @@ class MaximumLikelihood:
         return float(np.sqrt(np.mean(np.square(errors))))
 
     def _fitted(self, rows: NDArray[np.intp]) -> tuple[float, float, Array]:
-        """Return the smallest misfit to some rows, and its exponent and coefficients."""
+        """Return the smallest misfit to the given rows, with its exponent and coefficients."""
 
         def misfit(exponent: float) -> float:
             return self._solved(exponent, rows)[0]
@@ -260,7 +262,7 @@ class MaximumLikelihood:
         return float(len(rows) * np.log(variances).sum()), found
 
     def _design(self, exponent: float) -> Array:
-        """Return the derivatives of the scaled loads by the coefficients, shape (channels, n, 2).
+        """Return the derivatives, shape (channels, n, 2), of the scaled loads by the coefficients.
 
         The loads are divided by their units.
 

@@ -33,12 +33,12 @@ from tissue.scene.scene import Scene
 from tissue.simulation.builders.parts import motion_of
 
 LARGEST = {"N": 1e5, "Nm": 1e4}
-"""Loads from which a log is refused, because its unit must be wrong [N, N m]."""
+"""Largest plausible loads [N, N m]; a log with larger loads is refused (wrong unit)."""
 FARTHEST_M = 10.0
 """Distance from the scene's origin beyond which a tool position is refused [m].
 
-A position beyond this distance has another unit or is damaged. A cut along a path with such a jump
-would take too long to compute.
+A position beyond this distance has another unit or is damaged. The cut along such a long path would
+also take too long to compute.
 """
 GAP = 5.0
 """Ratio of a time step to the median time step above which the step is reported as a gap.
@@ -46,9 +46,9 @@ GAP = 5.0
 A few lost consecutive samples are therefore not reported as a gap.
 """
 SHORTEST_PATH_M = 5e-5
-"""Extent of the positions below which their unit must be given [m].
+"""Extent of a path below which the unit of its positions must be given [m].
 
-A path of 50 mm has this extent if its positions are in metres but are read in millimetres.
+A path of 50 mm seems to have this extent if positions in metres are read as millimetres.
 """
 SHORTEST_S = 0.5
 """Shortest log whose noise can be estimated [s].
@@ -65,7 +65,7 @@ class MeasuredLog:
     Attributes
     ----------
     path
-        File.
+        File of the log.
     times_s
         Increasing times of the poses [s], shape (n,).
     tips_m
@@ -111,7 +111,7 @@ class MeasuredLog:
 
 
 def log_of(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> MeasuredLog:
-    """Return the log of a tool's poses and loads that the columns of a file hold.
+    """Return a log of a tool's poses and loads, read from the columns of a file.
 
     For a run's own trace, `columns` is not needed. If a trace holds ``model_force`` (the force of
     the tissue) and the force commanded to a device, ``model_force`` is used.
@@ -123,10 +123,10 @@ def log_of(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> Measur
     found
         Columns of the file.
     columns
-        ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT`` for quantities with another
-        name. A minus reverses the sign. If UNIT is not given, the unit is taken from the header of
-        the column, or else from NAME. ``NAME=NUMBER`` gives a constant, and ``time_s=RATE:Hz``
-        gives a rate in place of times.
+        ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT`` for quantities whose column
+        has another name. A minus reverses the sign. If UNIT is not given, the unit is taken from
+        the header of the column, or else from NAME. ``NAME=NUMBER`` gives a constant, and
+        ``time_s=RATE:Hz`` gives a rate in place of times.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def log_of(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> Measur
 
 
 def _require_motion(path: Path, values: Mapping[str, Array], asked: Mapping[str, str]) -> None:
-    """Refuse positions that seem to be in metres although their name is in millimetres."""
+    """Refuse positions that seem to be in metres although their name states millimetres."""
     spans = [float(np.ptp(values[name])) for name in TIPS if len(values.get(name, ()))]
     span_m = max(spans, default=0.0)
     if 0.0 < span_m < SHORTEST_PATH_M:
@@ -180,7 +180,7 @@ def _require_motion(path: Path, values: Mapping[str, Array], asked: Mapping[str,
 def _checked(
     path: Path, taken: dict[str, Array], names: Sequence[str], notes: list[str]
 ) -> MeasuredLog:
-    """Return a checked log of the columns that were read."""
+    """Check the quantities that were read, and return them as a log."""
     refuse = partial(refusal, path)
     wanted = ["time_s", *TIPS]
     if not taken.keys() & set(FORCES):  # one axis of a sensor is enough
@@ -251,7 +251,7 @@ def _checked(
 
 
 def _merge(taken: dict[str, Array], notes: list[str]) -> None:
-    """Average samples with equal times, in place. Of their orientations, the first one is kept."""
+    """Average samples with equal times, in place. Their first orientation is kept."""
     of_loads = "load_time_s" if "load_time_s" in taken else "time_s"
     clocks: dict[str, list[str]] = {"time_s": [], of_loads: []}
     for name in taken:
@@ -292,20 +292,20 @@ PLATEAU = 10
 In a channel with noise, so many equal consecutive samples are unlikely.
 """
 SHARPER = 5
-"""Smallest ratio of the length of a plateau to the lengths of the plateaus before and after it.
+"""Smallest ratio of a saturated plateau's length to the lengths of its neighbouring plateaus.
 
 The peak of a signal with coarse steps stays below this ratio.
 """
 ROUGH = 0.05
-"""Smallest share of samples at which a channel with noise reverses its direction.
+"""Share of samples with a reversal of direction, above which a channel counts as noisy.
 
 A smoother channel has no noise, and may rest at any value without saturation.
 """
 BASELINE = 0.5
 """Share of the largest load below which an extreme value counts as a load without contact.
 
-An extreme value is the smallest or the largest value of a channel. Below this limit, it is not
-taken for the end of the sensor's range.
+An extreme value is the smallest or the largest value of a channel. Below this limit, an extreme
+value is not taken for the end of the sensor's range.
 """
 SLOWER = 5.0
 """Ratio of the pose interval to the load interval above which poses are reported as too slow.
@@ -321,7 +321,7 @@ SPEED_S = 0.1
 
 
 def without_saturation(loads: Array, channels: Sequence[str], notes: list[str]) -> Array:
-    """Return loads with saturated values replaced by NaN, shape (m, channels), and add notes.
+    """Return loads, shape (m, channels), in which NaN replaces saturated values; add notes.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Quantities of a log from the columns of its file: names, units, signs, constants and rates."""
+"""Extraction of a log's quantities from file columns by names, units, signs and rates."""
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -32,7 +32,7 @@ if they differ from the times of the poses.
 TIMES = ("t", "time", "timestamp", "time_stamp", "elapsed", "elapsed_time", "zeit")
 """Names of a column of times in lower-case letters, without unit."""
 EPOCH_S = 1e8
-"""Time above which times are counted from 1970 [s], because no log lasts three years."""
+"""Time [s] above which a clock counts from 1970, because no log lasts three years."""
 USUAL = {
     "time_s": TIMES,
     "depth_mm": ("indentation", "displacement", "penetration"),
@@ -43,9 +43,9 @@ USUAL = {
 Except for times, the names are used only if the header has a unit.
 """
 OF_FORCE = ("f", "force", "load", "kraft", "wrench")
-"""Words that precede the axis in the header of a force."""
+"""Words that precede the axis in the header of a force column."""
 NOT_OF_PLACE = (*OF_FORCE, "torque", "moment", "velocity", "vel", "acc", "orientation", "q")
-"""Words in the headers of vector components (with an axis) that are not positions."""
+"""Words that precede the axis in the header of a column that is not a position."""
 
 
 def parsed(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
@@ -67,19 +67,20 @@ def parsed(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
 def quantities(
     found: LogColumns, asked: Mapping[str, str], measures: Mapping[str, str], notes: list[str]
 ) -> tuple[dict[str, Array], list[str]]:
-    """Return the available quantities in SI by name, and the columns that were not used.
+    """Return the available quantities in SI units, keyed by name, and the unused columns.
 
     Parameters
     ----------
     found
         Columns of the file.
     asked
-        Column, with sign and unit, or a constant, by the name of the quantity. Other quantities are
-        searched by their names.
+        Column, with sign and unit, or a constant, by the name of the quantity. For other
+        quantities, the headers are searched.
     measures
-        Name with unit, and kind as a key of `UNITS`, of each quantity.
+        Kind of each quantity (a key of `UNITS`), keyed by the quantity's name with unit.
     notes
-        List to which a sentence is added if a unit is not the unit of the name.
+        List to which a sentence is added if a column's unit differs from the unit in the quantity's
+        name.
     """
     values: dict[str, Array] = {}
     constants: dict[str, float] = {}
@@ -107,7 +108,7 @@ def quantities(
 
 
 def column_for(name: str, measure: str, names: Sequence[str]) -> str | None:
-    """Return the only column that holds a quantity according to its header, or None."""
+    """Return the column whose header fits a quantity; None if no or several headers fit."""
     found = column_of(name, measure, names)
     if found is not None:
         return found
@@ -124,7 +125,7 @@ def column_for(name: str, measure: str, names: Sequence[str]) -> str | None:
 
 
 def _column(name: str, asked: str, known: Sequence[str]) -> tuple[str, float, str]:
-    """Return the column that a text names, its sign, and its unit, which may be empty.
+    """Return the column that `asked` names, its sign, and its unit, which may be empty.
 
     For a constant, the column is empty, and the sign is the value of the constant.
     """
@@ -145,7 +146,7 @@ def _column(name: str, asked: str, known: Sequence[str]) -> tuple[str, float, st
 
 
 def _factor(name: str, measure: str, column: str, unit: str) -> tuple[float, str]:
-    """Return the factor to SI of a column, and a remark, which may be empty.
+    """Return the factor that converts a column to SI, and a remark, which may be empty.
 
     The unit is the given unit, or the unit in the header, or the unit of the quantity's name.
     """
@@ -169,7 +170,7 @@ def _factor(name: str, measure: str, column: str, unit: str) -> tuple[float, str
 
 
 def _clock(column: str, times: Array) -> tuple[float, str]:
-    """Return the factor to seconds of times without a unit, and a remark, which may be empty.
+    """Return the factor that converts times without a unit to seconds, and a remark or "".
 
     The unit of times since 1970 follows from their size, because every log was made after 1973.
     """
@@ -213,7 +214,7 @@ def suggested(missing: Sequence[str], names: Sequence[str]) -> str:
 
 
 def _is_like(name: str, header: str) -> bool:
-    """Return whether a header such as "Fx [mN]" may be the name of a quantity along an axis."""
+    """Return True if a header such as "Fx [mN]" may stand for a quantity along an axis."""
     measure = QUANTITIES[name]
     if measure not in ("length", "force"):
         return measure == "time" and bool(unit_of(header, "time"))

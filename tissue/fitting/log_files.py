@@ -33,7 +33,7 @@ _RATE_NAME = re.compile(
 TIPS = ("tool_x_mm", "tool_y_mm", "tool_z_mm")
 QUATERNION = ("tool_qx", "tool_qy", "tool_qz", "tool_qw")
 CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm", "torque_z_Nm")
-"""Names of loads on the tool, in the scene's frame, with torques about the tip."""
+"""Names of load components on the tool in the scene's frame. Torques are about the tip."""
 
 
 def refusal(path: Path, requirement: str, value: str, remedy: str) -> InputError:
@@ -50,12 +50,12 @@ class LogColumns:
     names
         Names of all columns, including columns without numbers.
     numbers
-        Function that returns a column's numbers, shape (n,), by its name. It raises InputError if
-        the column holds no numbers.
+        Function that takes the name of a column and returns the numbers in the column, shape (n,).
+        It raises InputError if the column holds no numbers.
     notes
         Remarks on the columns, in words.
     rate_Hz
-        Rate of the samples that the text above the columns states [Hz], or None.
+        Sampling rate [Hz] that is stated in the text above the columns, or None.
     """
 
     names: tuple[str, ...]
@@ -92,8 +92,8 @@ def read_columns(path: Path) -> LogColumns:
     Raises
     ------
     InputError
-        If the file is missing, of another kind or damaged, or if the library that reads it is not
-        installed.
+        If the file is missing, damaged or of an unsupported kind, or if the library that reads it
+        is not installed.
     """
     if not is_file(path):
         raise InputError(
@@ -182,7 +182,7 @@ def _h5(path: Path) -> LogColumns:
 def _structs(path: Path) -> LogColumns:
     """Return the columns of a MATLAB 7.3 file.
 
-    A column of a struct has the name of its field, if no other column has this name.
+    A column from a struct is named after its field, if no other column has this name.
     """
     found = _h5(path)
     # MATLAB keeps its own data in groups such as #refs#
@@ -196,7 +196,7 @@ def _structs(path: Path) -> LogColumns:
 
 
 def _drilling(path: Path) -> LogColumns:
-    """Return poses and loads of a recording of volumetric_drilling, each with separate times."""
+    """Return the poses and loads of a volumetric_drilling recording; both have their own times."""
     held = read_drilling(path, what="measured")
     poses = np.hstack([1e3 * held.tips_m, held.quaternions])
     columns = {"time_s": held.times_s, **dict(zip(TIPS + QUATERNION, poses.T, strict=True))}
@@ -246,10 +246,10 @@ _BYTES = 8
 
 
 def parquet_columns(file: Path) -> Answer:
-    """Return the columns of a Parquet file by name.
+    """Return the columns of a Parquet file, keyed by name.
 
     Before the file is read, its recorded size is compared with the memory limit. A column without
-    numbers is returned as an empty matrix, so that its name is known.
+    numbers is returned as an empty matrix, so that the caller knows its name.
     """
     import pyarrow.parquet
 
@@ -274,10 +274,10 @@ def parquet_columns(file: Path) -> Answer:
 
 
 def mat_columns(file: Path) -> Answer:
-    """Return the numeric arrays of a MATLAB file by name.
+    """Return the numeric arrays of a MATLAB file, keyed by name.
 
     Arrays of structs have the names of their fields. An entry without numbers is returned as an
-    empty matrix, so that its name is known.
+    empty matrix, so that the caller knows its name.
     """
     from scipy.io import loadmat
     from scipy.io.matlab import MatlabObject, MatlabOpaque

@@ -67,7 +67,7 @@ SHARES = np.array([0.05, 0.5, 0.95])
 PRIOR_SPREAD = float(np.sqrt(0.5 - 0.5 / np.pi))
 """Standard deviation of a standard normal variable whose negative values are set to 0."""
 END = float(0.5 * np.sqrt(2.0 * np.pi))
-"""Probability of the end under the cut-off prior, divided by the normal density at the end."""
+"""Probability of the cited value under the cut-off prior, divided by the normal density there."""
 POINTS = 256
 """Number of points of the quasi-Monte Carlo integral in `log_factor`.
 
@@ -103,7 +103,7 @@ class Marginal:
 
 
 def marginal(target: Target, maximum: Array, covariance: Array, at: int) -> Marginal:
-    """Compute the distribution of a constant or of the scaled offset, for fixed noise.
+    """Compute the distribution of a constant or of the scaled clock offset, for fixed noise.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def marginal(target: Target, maximum: Array, covariance: Array, at: int) -> Marg
     maximum, covariance
         Maximum and covariance of the normal approximation, shapes (size,) and (places, places).
     at
-        Index of the number.
+        Index of the constant or offset in `maximum`.
     """
     spread = float(np.sqrt(covariance[at, at]))
     along = np.zeros(target.size)
@@ -141,7 +141,7 @@ def marginal(target: Target, maximum: Array, covariance: Array, at: int) -> Marg
 
 
 def log_density_at(target: Target, start: Array, at: int) -> tuple[float, Array]:
-    """Compute the marginal log density of one number, and the best values of the others.
+    """Compute the marginal log density of one number, and the best values of the other numbers.
 
     The other constants, the offset and the biases are integrated out by Laplace's approximation.
 
@@ -167,7 +167,7 @@ def log_density_at(target: Target, start: Array, at: int) -> tuple[float, Array]
 
 
 def log_factor(mean: Array, covariance: Array) -> float:
-    """Compute the log ratio of the evidence with one-sided priors to that with normal priors.
+    """Compute ln(evidence with one-sided priors / evidence with normal priors).
 
     With normal priors, the posterior is normal. The evidence with one-sided priors is an integral
     over the one-sided numbers. The integral is computed for one number at a time (Geweke,
@@ -177,8 +177,8 @@ def log_factor(mean: Array, covariance: Array) -> float:
     Parameters
     ----------
     mean, covariance
-        Mean and covariance of the one-sided numbers under the normal prior, measured away from the
-        end, shapes (k,) and (k, k).
+        Mean, shape (k,), and covariance, shape (k, k), of the one-sided numbers under the normal
+        prior. Positive values of these numbers lie inside the range of the constant.
     """
     if not len(mean):
         return 0.0
@@ -214,7 +214,7 @@ def _walked(
     places: Array,
     patience: float,
 ) -> dict[float, tuple[float, Array]]:
-    """Return log densities at growing distances from a first value, with the best other numbers.
+    """Return log densities, and the best other numbers, at growing distances from a value.
 
     The search ends when the density has been negligible over a range longer than `patience`. For
     the offset this range is needed, because the density may rise again within a sampling interval
@@ -253,7 +253,7 @@ def _refine(target: Target, at: int, found: dict[float, tuple[float, Array]]) ->
 def _law(found: Mapping[float, float], side: float) -> Marginal:
     """Return the distribution of a number from its log density at grid points.
 
-    For a one-sided number, the end at 0 has a probability of its own.
+    For a one-sided number, the value 0 itself has a positive probability.
     """
     # a one-sided number is handled as a positive one
     sign = side or 1.0

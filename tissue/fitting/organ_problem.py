@@ -1,4 +1,4 @@
-"""Loads of a probe on an organ as a function of its constants.
+"""Loads of a probe on an organ as a function of the organ's constants.
 
 If all moduli change by one factor, the loads change by this factor. A polynomial of second order
 in the other constants approximates the loads.
@@ -28,11 +28,11 @@ from tissue.scene.tool import Probe
 
 @dataclass(frozen=True, eq=False)
 class OrganForward:
-    """Function for the loads near the constants of a run.
+    """Approximation of the loads near the constants of one run.
 
-    If all moduli of an organ are free and change by one factor, the force on a given path changes
-    by this factor. Poisson's ratio, friction and relaxation do not change. Runs therefore use the
-    cited value of the first modulus, and scale the other moduli in proportion.
+    If all moduli of an organ change by one factor and all other constants stay the same, the force
+    on a given path changes by this factor. Runs therefore use the cited value of the first modulus,
+    and scale the other moduli in proportion.
 
     Attributes
     ----------
@@ -46,12 +46,13 @@ class OrganForward:
     base
         Loads of the run, shape (n, channels).
     slopes
-        Coefficients of the distance of each constant from `at`, shape (n, channels, p). They are
-        zero for the first modulus. For a relaxation time, the distance is measured in its
+        Coefficients, shape (n, channels, p), that multiply the distance of each constant from `at`.
+        They are zero for the first modulus. For a relaxation time, the distance is measured in its
         logarithm.
     curved
-        Coefficients of the squares and products of these distances, shape (n, channels, p, p). The
-        matrix is symmetric: each order of two constants holds half of the coefficient.
+        Coefficients, shape (n, channels, p, p), that multiply the squares and products of the
+        distances. The matrix is symmetric: each order of two constants holds half of the
+        coefficient.
     """
 
     parameters: tuple[Parameter, ...]
@@ -64,7 +65,7 @@ class OrganForward:
     curved: Array
 
     def reduced(self, x: Array) -> tuple[float, Array]:
-        """Return ratio of loads at `x` to a run's loads, and the run's constants, shape (p,)."""
+        """Return the ratio of the loads at `x` to the loads of a run, and the run's constants."""
         x = np.asarray(x, dtype=float)
         # the loads are not proportional to moduli: a run with x itself is needed
         if not self.moduli:
@@ -143,7 +144,7 @@ class OrganForward:
 EVERY = 2
 """Ticks between two loads that a run keeps. A log is averaged over more ticks than this."""
 STEPS = (0.1, 1.0)
-"""Smallest and largest change of a constant for slopes, in standard deviations of its prior.
+"""Smallest and largest change of a constant to compute slopes, in prior standard deviations.
 
 Between these limits, the change equals the uncertainty of the constant. The load difference after a
 smaller change would show single nodes that enter or leave the contact.
@@ -151,34 +152,35 @@ smaller change would show single nodes that enter or leave the contact.
 FIRST_STEP = 0.5
 """One-sided change of a constant for its first slope, in standard deviations of its prior."""
 SETTLED = 0.3
-"""Distance below which the fitted constants agree with the constants of the last run.
+"""Distance from the last run's constants below which the fitted constants count as equal.
 
 The distance is measured in standard deviations of the constants. A 90 % interval is 3.3 standard
 deviations wide.
 """
 ROUNDS = 3
 TRIES = 6
-"""Largest number of further runs with one set of slopes.
+"""Largest number of further runs before the slopes are computed again.
 
 `ROUNDS` is the largest number of times that slopes are computed.
 
-These numbers limit the runs of a fit that does not converge. `UNSETTLED` reports such a fit.
+These numbers limit the runs of a fit that does not converge. `UNSETTLED` is the message about such
+a fit.
 """
 LEARNT = 0.1
-"""Step above which slopes are corrected, in standard deviations of the priors of the constants."""
+"""Step of the constants above which slopes are corrected, in prior standard deviations."""
 UNSETTLED = (
     "the runs and the result do not agree yet, so the intervals are not reliable: free "
     "fewer constants"
 )
 FINER = 1.4
-"""Edge length of the mesh of a fit, divided by that of the finer mesh that shows its error."""
+"""Edge length of a fit's mesh, divided by the edge length of the finer comparison mesh."""
 PARTS = 4
-"""Number of parts of a log. One fit per part uses the loads of the finer mesh only there.
+"""Number of parts of a log. For each part, one fit uses the finer mesh only in this part.
 
 The four parts are approximately press, hold, retreat and rest.
 """
 WIDE = 0.2
-"""Standard deviation relative to the prior above which a constant is also changed in pairs.
+"""Standard deviation, relative to the prior, above which constants are also changed in pairs.
 
 Every two constants above this limit are changed together in one run, which gives the coefficient of
 the product of their changes.
@@ -213,11 +215,11 @@ class Settled:
 def organ_problem(
     scene: Scene, log: MeasuredLog, free: Sequence[str], *, cores: int | None, progress: Progress
 ) -> Problem:
-    """Return the data of the fit of a probe that presses an organ, see `fit_scene`.
+    """Return the data for fitting a probe that presses an organ, see `fit_scene`.
 
-    The organ is run along the poses of the log with the initial constants, and with each constant
-    changed. Further runs use the fitted constants, until these agree with the constants of the last
-    run.
+    The organ is simulated along the poses of the log with the initial constants, and then with one
+    constant changed at a time. Further runs use the fitted constants, until these agree with the
+    constants of the last run.
     """
     poses = Poses(log.times_s, log.tips_m, log.quaternions_of(scene))
     parameters, moduli = organ_parameters(scene, free)
@@ -284,7 +286,7 @@ def settled(
     measured: MeasuredLoads,
     progress: Progress,
 ) -> Settled:
-    """Return the loads from runs near the most probable constants of a log.
+    """Return a model of the loads, computed from runs near the most probable constants of a log.
 
     Slopes are computed from the load differences between runs with nearby constants. Further runs
     use the fitted constants and correct the slopes, until the fitted constants agree with the
@@ -336,7 +338,7 @@ def _next(forward: OrganForward, posterior: Posterior, spread: Array) -> tuple[A
 
 
 def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> OrganForward:
-    """Return the model with new slopes, which are computed from runs near its constants.
+    """Return the model with new slopes, computed from runs near the constants of the model.
 
     The constants are changed to one side if no constant has been estimated yet, and to both sides
     otherwise. Two constants whose standard deviations exceed `WIDE` are also changed together,

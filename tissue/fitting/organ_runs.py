@@ -1,4 +1,4 @@
-"""Constants of an organ and of its contact that a log may determine, and runs of the organ."""
+"""Constants of an organ and its contact that a fit can estimate, and runs of the organ."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ from tissue.system.workers import worker_pool
 
 KEYS = "organ."
 PART = "organ.parts."
-"""Prefix of the names of moduli of parts.
+"""Prefix of the name of a modulus that belongs to a part of the organ.
 
 Like the names with the prefix `KEYS`, these names are keys of the scene and not constants of a
 material.
@@ -105,7 +105,7 @@ def _cited(scene: Scene) -> tuple[list[Parameter], set[str]]:
 
 
 def _stated(scene: Scene) -> list[Parameter]:
-    """Return moduli, friction and shape constants of a law that are keys of the scene.
+    """Return the moduli, the friction and the shape constants that the keys of the scene set.
 
     The modulus of a nodule (a stiffer or softer ball in the organ) is included. A constant with a
     value of 0 or below, or a share of 1, has no range and stays fixed.
@@ -156,7 +156,7 @@ def _shape_prior(name: str, value: float) -> Prior | None:
 
 
 LAW_MS = 5.0
-"""Time between two solves of a hyperelastic law [ms]. It is the smallest value that a scene allows.
+"""Time between two solutions of a hyperelastic organ [ms]; the smallest value in a scene.
 
 A short time is needed because measured tissue has no latency.
 """
@@ -177,7 +177,7 @@ class Poses:
 class OrganRuns:
     """Runs of an organ along a log's poses.
 
-    Several runs use several processes.
+    Runs are distributed over several processes.
 
     Parameters
     ----------
@@ -220,15 +220,15 @@ class OrganRuns:
         return _loads(scene, *self._settings, sample)
 
     def __call__(self, samples: Sequence[Mapping[str, float]]) -> list[Array]:
-        """Return the loads on the tool for each set of constants, shape (n, channels) each.
+        """Return the loads on the tool, shape (n, channels), for each set of constants.
 
         The loads are forces [N] and torques about the tip [N m].
 
         Parameters
         ----------
         samples
-            Values by the names of constants, ``TABLE.MATERIAL.NAME`` or keys of the scene. Each set
-            is one run.
+            Values keyed by the names of constants: ``TABLE.MATERIAL.NAME`` or a key of the scene.
+            Each set is one run.
         """
         self.count += len(samples)
         cores = min(self._cores, len(samples))

@@ -15,7 +15,7 @@ SIMULATED = "#0072B2"
 PRIOR = "0.75"
 ROW = 0.44
 FRAME = 1.0
-"""Height of the row of a constant, and of the frame around the rows [in]."""
+"""Height of the frame around the rows [in]; `ROW` is the height of the row of a constant."""
 
 
 @styled
@@ -76,8 +76,9 @@ def draw_rows(
     label, x
         Label and values of the horizontal axis, shape (n,).
     loads
-        Measured load, shape (n,), half lengths of its error bars, shape (n,) or (2, n), or None,
-        and fitted load, shape (n,). The key is the label of the vertical axis.
+        Three arrays for each panel, keyed by the label of the vertical axis. The first array is the
+        measured load, shape (n,). The second array holds the half lengths of the error bars, shape
+        (n,) or (2, n), or is None. The third array is the fitted load, shape (n,).
     path
         File to write.
     """

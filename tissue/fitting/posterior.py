@@ -28,7 +28,7 @@ A force may rise at several times, so there may be several maxima. Offsets beyon
 deviations of the prior are included to detect clocks that contradict the prior.
 """
 STARTS = 2
-"""Number of first guesses, the best of all clock offsets, from which a search begins.
+"""Number of first guesses from which a search begins: the best over all clock offsets.
 
 For a milled block, 1, 2 and 5 first guesses lead to the same maximum.
 """
@@ -47,8 +47,8 @@ are usually enough.
 STEEP = 1e-3
 """Increase of the log density in a round, below which a maximum counts as found.
 
-The numbers are then closer to the maximum than a tenth of a standard deviation. This is small
-compared with an interval, which is 3.3 standard deviations wide.
+The estimated constants are then closer to the maximum than a tenth of a standard deviation. This is
+small compared with an interval, which is 3.3 standard deviations wide.
 """
 
 
@@ -68,8 +68,8 @@ class Posterior:
     converged
         True if a maximum was found.
     mesh_z
-        Shift of the constants by the error of the mesh of the runs, in their standard normal
-        numbers, shape (p,). The shift widens the intervals. None if the loads have no mesh.
+        Shift of the constants due to the mesh error of the runs, as standard normal numbers, shape
+        (p,). The shift widens the intervals. None if the loads have no mesh.
     """
 
     target: Target
@@ -95,14 +95,14 @@ class Posterior:
 
     @property
     def covariance_z(self) -> Array:
-        """Covariance of the constants' normal numbers with free nuisances, shape (p, p)."""
+        """Covariance, shape (p, p), of the constants' normal numbers with free nuisances."""
         p = self.target.constants
         found = self.covariance[:p, :p]
         return found if self.mesh_z is None else found + np.outer(self.mesh_z, self.mesh_z)
 
     @property
     def nuisances(self) -> Unpacked:
-        """Offset, biases and noise at the maximum."""
+        """Clock offset, sensor biases and noise at the maximum."""
         return self.target.unpacked(self.maximum)
 
     @cached_property
@@ -129,7 +129,7 @@ class Posterior:
     def with_mesh(
         self, whole: "Posterior", parts: Sequence["Posterior"], factor: float
     ) -> "Posterior":
-        """Return the posterior with the error of the mesh, from fits on another mesh.
+        """Return the posterior with the error of the mesh added, from fits on a finer mesh.
 
         The mesh errors of different parts of the log may cancel in a constant by chance. The error
         of a constant is therefore at least the root of the sum of squares of the errors of the
@@ -142,7 +142,8 @@ class Posterior:
         parts
             Fits of the same log, each with the finer mesh in one part of the log.
         factor
-            Ratio of the error of this mesh to the difference between this mesh and the finer mesh.
+            Error of this mesh, divided by the difference between the results on this mesh and on
+            the finer mesh.
         """
         shifts = np.array([each.mean_z - self.mean_z for each in parts])
         least = np.sqrt(np.sum(shifts**2, axis=0))
@@ -198,7 +199,8 @@ def maximum_of(target: Target) -> Posterior:
 def _settled(target: Target, u: Array) -> tuple[float, Array, bool]:
     """Find the maximum near `u`: its restricted log density, its numbers and a convergence flag.
 
-    Constants, offset and biases are found for the noise, and the noise is found for them, in turn.
+    Two searches alternate: constants, offset and biases for fixed noise, and the noise for fixed
+    constants, offset and biases.
     """
     last = -np.inf
     for _ in range(ROUNDS):
@@ -227,14 +229,14 @@ def starts(target: Target) -> list[tuple[float, Array]]:
 # would treat it as a bias with noise and return wrong constants without a message. Each channel,
 # all forces, all torques and all loads are therefore fitted with their signs reversed as well.
 GAIN = 10.0
-"""Increase of the log density above which signs count as reversed: odds of 2e4."""
+"""Increase of the log density, odds of 2e4, above which a channel's sign counts as reversed."""
 SCREENED = 50.0
-"""Largest deficit in log density of a first guess for which reversed signs are searched.
+"""Largest deficit in log density of a first guess from which a search with reversed signs begins.
 
 The search also changes the noise, so the first guess alone does not decide.
 """
 EXPLAINED = 0.5
-"""Share of a channel's variance that the loads must explain after its sign is reversed.
+"""Share of a channel's variance that the model must explain after its sign is reversed.
 
 A channel that holds only noise has no sign.
 """
@@ -295,10 +297,10 @@ def reversed_channels(forward: Forward, log: MeasuredLoads) -> tuple[str, ...]:
 def _search(
     forward: Forward, log: MeasuredLoads, signs: Array, wanted: float
 ) -> tuple[float, Array]:
-    """Return the largest log density of a log with these signs, and the explained variance.
+    """Return the largest log density of a log with the given signs, and the explained variance.
 
-    The explained share of the variance is computed for each channel. If the density of the first
-    guess is far below the wanted density, the results of the first guess are returned.
+    The explained share of the variance is computed for each channel. If the log density of the
+    first guess is far below `wanted`, the results of the first guess are returned.
     """
     target = Target(forward, replace(log, values=log.values * signs))
     density, u = starts(target)[0]

@@ -1,11 +1,12 @@
 """Fit of an elastic law to presses of a probe, for tables without times.
 
-The median of the presses at each depth is fitted by least squares. The free constants are Young's
-modulus, the shape constants of the law and the bias of the force sensor, which is the same at all
-depths. The presses differ by far more than the noise of the sensor, so the intervals follow from
-the scatter of the presses. For this purpose, the presses are resampled with replacement and fitted
-again (bootstrap, Efron 1979, Ann. Stat. 7:1). The error of the mesh is added to the intervals. This
-error is the shift of the constants in a fit on a mesh with two thirds of the edge lengths.
+The median force of the presses at each depth is fitted by least squares. The free constants are
+Young's modulus, the shape constants of the law and the bias of the force sensor, which is the same
+at all depths. The presses differ by far more than the noise of the sensor, so the intervals follow
+from the scatter of the presses. For this purpose, the presses are resampled with replacement and
+fitted again (bootstrap, Efron 1979, Ann. Stat. 7:1). The error of the mesh is added to the
+intervals. This error is the shift of the constants in a fit on a mesh with two thirds of the edge
+lengths.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,7 +43,7 @@ RESAMPLES = 1000
 The ends of a 90 % interval then have a standard error of 2 % of its width.
 """
 FINER = 1.5
-"""Ratio of the edge lengths of two meshes; their results differ by the error of the mesh.
+"""Ratio of the edge lengths of the two meshes that are compared to find the mesh error.
 
 The force converges with second order, so the difference is more than half of the error of the
 coarser mesh.
@@ -51,14 +52,15 @@ DETERMINED = 2.0
 """Largest ratio of the ends of an interval for which a constant counts as determined."""
 SEED = 42
 POOR = 0.03
-"""Smallest misfit of a fitted curve that a doubt reports (judgement).
+"""Misfit of a fitted curve above which a fit can be reported as poor (judgement).
 
 The interpolation of the forces has an error of 0.3 %, a tenth of this value.
 """
 SYSTEMATIC = 3.0
-"""Smallest ratio of the mean residual of presses to its standard error for a doubt (judgement).
+"""Limit of the ratio of a mean residual to its standard error (judgement).
 
-The ratio is about 1 if the residuals of different presses are independent.
+The mean is over presses. Above the limit, a fit can be reported as poor. The ratio is about 1 if
+the residuals of different presses are independent.
 """
 
 
@@ -85,7 +87,7 @@ class FittedCurve:
 
 
 def median_curve(forces_N: Array, draws: Ints | None = None) -> Array:
-    """Return the median of presses at each depth, shape (d,), or one row for each of `draws`."""
+    """Return the median of presses at each depth, shape (d,), or one row per row of `draws`."""
     chosen = forces_N if draws is None else forces_N[draws]
     return np.median(chosen, axis=-2)
 
@@ -126,17 +128,17 @@ class ProbeFit(Fitted):
     path
         File of the table.
     table
-        The presses.
+        Table of the presses.
     law
-        Law of the organ.
+        Name of the elastic law of the organ.
     constants
         Modulus and shape constants, with 90 % intervals.
     force_N, bias_N
-        Fitted force at the depths of the table, including the bias [N], shape (d,), and the bias
-        [N].
+        Fitted force [N], shape (d,), at the depths of the table, including the bias; and the bias
+        [N] of the force sensor.
     misfit
-        Difference between the fitted curve and the median curve, divided by the median curve (L2
-        norms).
+        L2 norm of the difference between the fitted and the median curve, divided by the L2 norm of
+        the median curve.
     notes
         Findings and assumptions, in sentences.
     """
@@ -199,7 +201,7 @@ class ProbeFit(Fitted):
         return tuple(found)
 
     def _misfits(self) -> list[str]:
-        """Return sentences about an implausible zero, and about residuals with a pattern."""
+        """Return warnings about an implausible sensor bias, and about systematic residuals."""
         middle = median_curve(self.table.forces_N)
         smallest = float(np.abs(middle[self.table.depths_m > 0.0]).min())
         found = []
@@ -231,10 +233,10 @@ class ProbeFit(Fitted):
 
 
 def common_pattern(forces_N: Array, fitted_N: Array) -> float:
-    """Return the size of the mean residual of presses, divided by its standard error.
+    """Return the norm of the presses' mean residual, divided by its standard error.
 
     The fitted curve is scaled and shifted to each press before the residual is computed. Residuals
-    are divided by the range of the press. Both sizes are L2 norms over the depths.
+    are divided by the range of the press. The norms are L2 norms over the depths.
 
     Parameters
     ----------
@@ -267,7 +269,7 @@ def presses_for(
     Raises
     ------
     InputError
-        If the columns cannot be read. If the table or the scene does not fit, one error contains
+        If the columns cannot be read, or the table cannot be fitted with the scene. The error lists
         all reasons.
     """
     presses, notes = read_presses(path, found, columns)
@@ -304,7 +306,7 @@ def fit_probes(
         Scene with a slab of one material on its bed, and a ball. Motion, friction and device of
         the scene are ignored.
     table
-        The presses.
+        Table of the presses.
     free
         Names of the constants to find; the modulus is always free. By default the shape constants
         of the law that are above zero are free too.

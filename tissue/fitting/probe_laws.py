@@ -35,13 +35,13 @@ SHAPES = {
 The ends are the limits of the key, or factors of ten around the values of published fits.
 """
 NODES = {1: 9, 2: 7}
-"""Number of solved values of each shape constant, by the number of shape constants.
+"""Number of solved values per shape constant, keyed by the number of shape constants.
 
 With one constant and 9 nodes, interpolated forces have an error below 0.3 %
 (`tests/tissue/fitting/test_probes.py`).
 """
 DENSE = {1: 400, 2: 60}
-"""Number of values of each shape constant that a fit compares, by the number of constants.
+"""Number of compared values per shape constant, keyed by the number of shape constants.
 
 Two neighbouring values of a rate differ by 1.6 % with one shape constant, and by 12 % with two
 shape constants.
@@ -162,7 +162,7 @@ def probe_curves(
     first: float = FIRST,
     progress: Progress = silent,
 ) -> ProbeCurves:
-    """Compute the forces at some depths over the range of some shape constants.
+    """Compute the forces at given depths over the ranges of the given shape constants.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def probe_curves(
     depths_m
         Depths [m], not all of them zero, shape (d,).
     keys
-        Shape constants, at most two.
+        Names of the shape constants that vary, at most two.
     first
         Edge of the cells under the ball, divided by the radius of the ball.
     progress

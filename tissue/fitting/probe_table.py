@@ -1,4 +1,4 @@
-"""Tables of the force of a probe by depth, without times, from several presses of one tissue."""
+"""Tables of probe force against depth, without times, from several presses of one tissue."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ FEWEST_PROBES = 3
 FEWEST_STEPS = 4
 """Smallest number of depths of a press: one more than modulus, shape and bias."""
 Press = tuple[Array, Array]
-"""Rising depths [m] and forces [N] of one press."""
+"""Increasing depths [m] and the forces [N] of one press."""
 SHORT = 0.9
-"""Limit of a press's largest depth, relative to the median; shallower presses are not used."""
+"""Largest depth of a press, relative to the median, below which the press is not used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class ProbeTable:
     path
         File.
     depths_m
-        Rising depths below the place of first contact [m], shape (d,).
+        Increasing depths [m], shape (d,), measured from the first contact.
     forces_N
         Force of each press at these depths [N], shape (n, d).
     notes
@@ -51,7 +51,7 @@ class ProbeTable:
 
 
 def is_probe_table(names: Sequence[str], columns: Sequence[str]) -> bool:
-    """Return whether columns belong to a table of presses: a depth, but no times of a log."""
+    """Return True if columns contain a depth but no times, as in a table of presses."""
     asked = {each.partition("=")[0].strip() for each in columns}
     if "time_s" in asked or any(name_of(each, "time") in TIMES for each in names):
         return False

@@ -21,10 +21,10 @@ class Parameter:
     ----------
     name
         Name in the files of constants, ``TABLE.MATERIAL.NAME``, such as
-        ``cutting.bone.radial_chip_N_mm2``. ``density.LAYER`` is the factor on the density map of a
-        layer.
+        ``cutting.bone.radial_chip_N_mm2``. ``density.LAYER`` is the factor by which the density map
+        of a layer is multiplied.
     prior
-        Prior of the constant that the fit uses, before the measured log is known.
+        Prior that the fit uses for the constant.
     cited
         Original prior of a constant whose cited value is an end of its range, such as a size
         exponent of 0. For such a constant, `prior` is the original prior mirrored at this end
@@ -63,10 +63,10 @@ def chosen(
     possible: Sequence[Parameter],
     tags: Mapping[str, str] | None = None,
 ) -> list[Parameter]:
-    """Return the parameters that patterns select; return all parameters without a pattern.
+    """Return the parameters that patterns select; if there is no pattern, return all parameters.
 
     A pattern consists of words separated by dots. The first word is the table of the constant. The
-    others are parts of its name, words of these parts, or its tag.
+    other words are parts of the constant's name, words within these parts, or the constant's tag.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class Forward(Protocol):
 SD_PER_MAD = 1.4826
 """Standard deviation of a normal variable divided by its median absolute deviation."""
 FEWEST = 50
-"""Minimum number of samples of a channel.
+"""Smallest number of samples of a channel that a fit can use.
 
 With fewer samples, the scale and the correlation of its noise cannot be estimated: the standard
 error of a correlation is about 1 / sqrt(50) = 0.14.
@@ -152,8 +152,8 @@ class MeasuredLoads:
     channels
         Names with units, such as ``force_x_N``.
     within_s
-        Times [s] relative to the time of a sample, shape (k,). A sample is the mean of the loads
-        read at these times.
+        Times [s] relative to the time of a sample, shape (k,). A sample is the mean of the loads at
+        these times.
     """
 
     times_s: Array
@@ -166,8 +166,8 @@ class MeasuredLoads:
 
         Outliers have little influence.
 
-        All channels with the same unit (N or N m) get the largest of their values. The root mean
-        square of a channel without load would be the size of its noise.
+        All channels with the same unit (N or N m) get the largest of their root mean squares.
+        Otherwise, a channel without load would get the size of its noise.
         """
         middle = np.nanmedian(self.values, axis=0)
         spread = SD_PER_MAD * np.nanmedian(np.abs(self.values - middle), axis=0)
@@ -198,7 +198,7 @@ class Problem:
     notes
         Remarks for the report.
     fixed
-        Fixed constants that the free constants depend on, by their names.
+        Fixed constants on which the free constants depend, keyed by name.
     finer
         Functions from the constants to the loads with a finer mesh. The first function uses the
         finer mesh in the whole log. Each further function uses it in one part of the log. None if
@@ -254,7 +254,7 @@ def block_ticks(duration_s: float, period_s: float) -> int:
 def block_averages(
     times_s: Array, values: Array, channels: tuple[str, ...], ticks: int
 ) -> MeasuredLoads:
-    """Return means over blocks.
+    """Return the means of values over blocks of time.
 
     A mean is NaN if its block holds less than half of the expected samples.
 

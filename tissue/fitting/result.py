@@ -14,7 +14,7 @@ from tissue.fitting.organ_runs import KEYS
 from tissue.materials.constants import Prior
 
 NUISANCES = ("density.", KEYS)
-"""Prefixes of the names of numbers that belong to the specimen of a log or to its scene.
+"""Name prefixes of fitted numbers that belong to the specimen or to the scene.
 
 Such numbers are not constants of a material.
 """
@@ -113,7 +113,7 @@ class Fitted(ABC):
     meaning
         Explanation of the numbers in the file of constants that the fit writes.
     findings
-        States of the constants that are reported with their intervals.
+        Values of `ConstantFit.state`. The report states the intervals of constants in these states.
     name
         Name of the scene.
     path
@@ -169,7 +169,7 @@ class Fitted(ABC):
 
     @property
     def verdicts(self) -> list[str]:
-        """Sentences on doubts and on the constants that the measurement determines."""
+        """Sentences on doubtful results and on the constants that the measurement determines."""
         found = [f"doubtful: {each}" for each in self.doubts]
         for each in self.constants:
             if each.state in self.findings:
@@ -199,5 +199,5 @@ class Fitted(ABC):
 
     @property
     def tables(self) -> dict[str, list[dict[str, str]]]:
-        """Tables of the report, keyed by title. The keys of a row are the heads of columns."""
+        """Tables of the report, keyed by title. The keys of a row are the column headings."""
         return {}

@@ -1,4 +1,4 @@
-"""Tables of steady loads on a drill, by feed and speed, and their log density for a fit."""
+"""Tables of steady drill loads by feed and speed, and the log density that a fit maximises."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,9 +28,9 @@ from tissue.simulation.trace import Table
 FEEDS = ("feed_mm_s", "feed_mm_per_turn")
 SPIN = "spin_rpm"
 CHANNELS = {"thrust_N": "force_z_N", "torque_Nm": "torque_z_Nm"}
-"""Channel of the simulation for each column of loads in a table."""
+"""Simulated channel that corresponds to each column of measured loads."""
 SCATTERS = {"thrust_N": "thrust_pm_N", "torque_Nm": "torque_pm_Nm"}
-"""Columns of the scatter of each load: one standard deviation."""
+"""Column with the scatter (one standard deviation) of each load."""
 MEASURES = {
     **dict(zip(FEEDS, ("speed", "length"), strict=True)),
     SPIN: "number",
@@ -53,11 +53,11 @@ class SteadyTable:
     Attributes
     ----------
     path
-        File.
+        File of the table.
     feeds_per_turn_m
         Feed per turn of each row [m], shape (n,).
     loads
-        Thrust [N] and torque [N m], as far as they were measured, shape (n, channels).
+        Measured loads, shape (n, channels): thrust [N], torque [N m], or both.
     scatter
         Standard deviation of each load, shape (n, channels). None if the table has no scatter.
     channels
@@ -75,7 +75,7 @@ class SteadyTable:
 
     @property
     def units(self) -> Array:
-        """Divisors of the loads, shape (n, channels).
+        """Numbers by which a fit divides the loads, shape (n, channels).
 
         The divisor is the scatter of the load. Without a scatter, it is the mean of the load over
         the rows.
@@ -86,7 +86,7 @@ class SteadyTable:
 
 
 def is_table(names: Sequence[str]) -> bool:
-    """Return whether columns belong to a table of steady loads: a feed or a thrust, but no times.
+    """Return True if columns contain a feed or a thrust but no times, as in a table of loads.
 
     A file with a column ``time_s`` is a log.
     """
@@ -102,10 +102,10 @@ def read_table(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> St
     path
         The file, for messages.
     found
-        Columns of the file. The column of the feed is ``feed_mm_min`` or ``feed_mm_s``, each with
-        ``spin_rpm``, or ``feed_mm_per_turn``. The columns of the loads are ``thrust_N``, and
-        ``torque_Nmm`` or ``torque_Nm``; at least one of them is needed. The standard deviation of
-        a load is in a column such as ``thrust_pm_N``.
+        Columns of the file. The feed is in the column ``feed_mm_per_turn``, or in ``feed_mm_min``
+        or ``feed_mm_s`` together with ``spin_rpm``. The columns of the loads are ``thrust_N``, and
+        ``torque_Nmm`` or ``torque_Nm``; at least one of them is needed. The standard deviation of a
+        load is in a column such as ``thrust_pm_N``.
     columns
         ``NAME=COLUMN`` or ``NAME=COLUMN:UNIT`` for a column with another name or unit.
 
@@ -163,7 +163,7 @@ def read_table(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> St
 
 
 def table_forward(scene: Scene, table: SteadyTable, free: Sequence[str] = ()) -> CuttingForward:
-    """Return the function for the loads of a table's rows, divided by `SteadyTable.units`.
+    """Return the forward model of the loads in a table's rows, divided by `SteadyTable.units`.
 
     Each row is handled like a recorded tick.
 
@@ -233,11 +233,11 @@ def table_forward(scene: Scene, table: SteadyTable, free: Sequence[str] = ()) ->
 
 
 class TableTarget(Target):
-    """Log density of constants given a table: independent normal errors of its rows.
+    """Log density of constants given a table whose rows have independent normal errors.
 
-    The standard deviation is the scatter. Without a scatter, it is a free number for each load. The
-    clock offset, the biases, and the correlation and tails of the noise have no effect, so they
-    stay at the medians of their priors.
+    The standard deviation is the scatter. Without a scatter, the standard deviation of each load is
+    a free number. The clock offset, the biases, and the correlation and tails of the noise have no
+    effect, so they stay at the medians of their priors.
     """
 
     def __init__(self, forward: CuttingForward, table: SteadyTable) -> None:

@@ -1,6 +1,6 @@
 """Log density that a fit maximises.
 
-The density is the product of the density of the measured log and of the priors. The numbers of a
+The density is the product of the likelihood of the measured log and the priors. The numbers of a
 fit are the constants, the clock offset, the sensor biases and the noise.
 """
 
@@ -15,49 +15,50 @@ from meshes.base.arrays import Array
 from tissue.fitting.problem import SD_PER_MAD, Forward, MeasuredLoads, shift_operators
 
 OFFSET_S = 0.02
-"""Standard deviation of the prior of the time between force clock and pose clock [s].
+"""Prior standard deviation of the offset between force clock and pose clock [s].
 
 The value describes two instruments that are started by hand on one computer. Logs of one
 instrument have an offset of zero.
 """
 BIAS_SHARE = 0.5
-"""Standard deviation of a sensor's bias relative to the size of the log's loads."""
+"""Prior standard deviation of a sensor's bias, relative to the size of the loads in the log."""
 NOISE_SHARE = 0.05
 NOISE_SPREAD = 1.5
-"""Spread of the prior of the noise, whose median is `NOISE_SHARE` relative to the log's loads.
+"""Prior spread of the noise.
 
-The spread is the standard deviation of the logarithm of the noise. 90 % of the values lie within a
-factor of 12 of the median.
+The spread is the standard deviation of the logarithm of the noise. The prior median of the noise is
+`NOISE_SHARE`, relative to the size of the loads. 90 % of the values lie within a factor of 12 of
+the median.
 """
 LEAST_NOISE = 1e-3
 """Smallest noise relative to the size of the log's loads.
 
-This noise covers the rounding of loads in a file, and the error of the velocity of a replayed tool
-within a tick.
+This noise covers the rounding of loads in a file, and the velocity error of a replayed tool within
+a tick.
 """
 CORRELATION_SPREAD = 1.5
 MOST_CORRELATED = 0.9995
-"""Largest absolute correlation of neighbours.
+"""Largest absolute correlation of neighbouring residuals.
 
-`CORRELATION_SPREAD` is the standard deviation of artanh of the correlation in the prior: 90 % of
+In the prior, the artanh of the correlation has the standard deviation `CORRELATION_SPREAD`. 90 % of
 the correlations lie within +-0.986.
 """
 LEAST_FREEDOM = 2.0
 FREEDOM = 4.0
 FREEDOM_SPREAD = 1.0
-"""Spread of the logarithm of the noise's degrees of freedom above their minimum.
+"""Prior standard deviation of ln(f - `LEAST_FREEDOM`), with the degrees of freedom f of the noise.
 
-`LEAST_FREEDOM` is the minimum, at which the variance becomes finite. `FREEDOM` is the median above
-this minimum. 90 % of the values lie between 3 and 23. This range covers noise with heavy tails, and
-comes close enough to normal noise. If 4 degrees of freedom were assumed for normal noise, 90 %
-intervals would contain the true value in only 87 % of cases.
+`LEAST_FREEDOM` is the smallest f, at which the variance becomes finite. `FREEDOM` is the prior
+median of f - `LEAST_FREEDOM`. 90 % of the values lie between 3 and 23. This range covers noise with
+heavy tails, and comes close enough to normal noise. If 4 degrees of freedom were assumed for normal
+noise, 90 % intervals would contain the true value in only 87 % of cases.
 """
 CORRELATED = 0.5
-"""Correlation of neighbours at the start of a search, between white noise and a slow drift."""
+"""Correlation of neighbouring residuals at the start: between white noise (0) and drift (1)."""
 FARTHEST = 4.0
 """Limit of a first guess, in standard deviations of a prior.
 
-Farther from the middle of the priors, loads are not linear in the constants.
+Farther from the medians of the priors, the loads are not linear in the constants.
 """
 MOST_STEPS = 60
 NEAR = 0.01
@@ -150,7 +151,7 @@ def likelihood(residuals: Array, noise: Unpacked) -> tuple[float, Array, Array]:
 
 
 def place_information(freedom: Array) -> Array:
-    """Return the Fisher information of the location of an innovation of scale 1.
+    """Return the Fisher information about the location of an innovation with scale 1.
 
     The result has the shape of `freedom`. The formula is from Lange, Little and Taylor (1989).
     """
@@ -175,7 +176,8 @@ class Target:
     Attributes
     ----------
     constants, places, size
-        Number of constants, of the numbers that move the loads, and of all numbers.
+        Number of constants, number of entries of `u` that change the loads, and number of all
+        entries of `u`.
     sides
         Side of each constant, shape (p,), see `tissue.fitting.problem.Parameter.side`.
     """
@@ -216,7 +218,7 @@ class Target:
         return np.array([prior.slope(each) for prior, each in zip(self._priors, z, strict=True)])
 
     def loads(self, x: Array, offset_s: float) -> Array:
-        """Return loads at the times of the log without bias, shape (m, channels).
+        """Return loads without bias, shape (m, channels), at the times of the log.
 
         The constants are given in their own units.
         """
@@ -224,7 +226,7 @@ class Target:
         return values @ self.forward.loads(x)[:, self._channels]
 
     def simulated(self, u: Array) -> Array:
-        """Return loads at the times of the log with offset and bias, shape (m, channels)."""
+        """Return loads with offset and bias, shape (m, channels), at the times of the log."""
         each = self.unpacked(u)
         return self.loads(self.x(each.z), each.offset_s) + each.bias
 
@@ -298,9 +300,9 @@ class Target:
     def reweighted(self, u: Array) -> tuple[float, Array, Array]:
         """Return the log density, its gradient, and the matrix of reweighted least squares.
 
-        The gradient, shape (places,), and the matrix, shape (places, places), are by the numbers
-        that move the loads. Fisher's scoring with expected weights would need hundreds of steps if
-        residuals lie far in the tails.
+        The gradient, shape (places,), and the matrix, shape (places, places), refer to the first
+        `places` entries of `u`. Fisher's scoring with expected weights would need hundreds of steps
+        if residuals lie far in the tails.
         """
         noise = self.unpacked(u)
         simulated, moved = self.linearised(u)
@@ -368,7 +370,7 @@ class Target:
         return -float(found.fun), np.concatenate([u[: self.places], found.x])
 
     def start(self, offset_s: float) -> Array:
-        """Return the numbers at which a search starts, shape (size,), for an offset of the clocks.
+        """Return the numbers at which a search starts, shape (size,), for a clock offset.
 
         The constants follow from two steps of reweighted least squares, from the middle of their
         priors.
@@ -384,7 +386,7 @@ class Target:
         return u
 
     def _rough_noise(self, u: Array) -> Array:
-        """Return the numbers of the noise that follow from the median size of the residuals."""
+        """Return the numbers of the noise, estimated from the median size of the residuals."""
         residuals = self.log.values - self.simulated(u)
         e = residuals[1:] - CORRELATED * residuals[:-1]
         away = np.nanmedian(np.abs(e - np.nanmedian(e, axis=0)), axis=0)

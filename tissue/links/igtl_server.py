@@ -48,7 +48,7 @@ class Received:
     client
         Sender of the message.
     header, content
-        Header, and content without extended header and metadata.
+        Header of the message, and content without extended header and metadata.
     """
 
     client: "Client"

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tissue.scene.coupling import Hardware
 
 LOOK_S = 0.05
-"""Longest time between two checks whether the server must stop [s].
+"""Longest time between two checks for a request to stop the server [s].
 
 The server waits for a pose between two checks. A received pose ends this wait.
 """

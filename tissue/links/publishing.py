@@ -12,7 +12,7 @@ from tissue.system.child import own_process
 
 
 class RunPublisher(ABC):
-    """Publisher of the rows of a live run.
+    """Publisher of the trace rows of a live run.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ class RunPublisher(ABC):
     Attributes
     ----------
     address
-        Address or topics at which the data is available. The run reports them to the user.
+        Address or topics at which the data is available. The run shows this text to the user.
     """
 
     address = ""
@@ -45,7 +45,7 @@ class RunPublisher(ABC):
         """Publish the remaining data and the end of the run."""
 
     def run(self) -> None:
-        """Publish until the ticks end."""
+        """Publish rows until the simulation computes no more ticks."""
         while not self._arrays["ended"][0]:
             self.step()
         self.end()

@@ -26,7 +26,7 @@ PAUSED_S = 0.5
 This time is 500 ticks, so late ticks do not count as a pause.
 """
 LOOK_S = 1e-3
-"""Interval between two checks for a new row [s].
+"""Interval between two checks for a new row of the run's trace [s].
 
 The interval is one tick, so a new row is found soon.
 """

@@ -42,7 +42,7 @@ OFF = 0.01
 """Largest accepted deviation of R R^T from the identity, for a rotation R.
 
 Transforms in single precision have a deviation of 1e-7. A scale of 1 % has a deviation of 0.02, so
-the transform is ignored.
+a transform with such a scale is ignored.
 """
 FRAME_S = 0.02
 """Interval between two poses [s]. 50 poses per second appear as a continuous motion."""
@@ -53,7 +53,8 @@ SURFACE_S = 1.0
 
 `WORDS_S` and `STATUS_S` are the intervals between two texts of the force and between two states.
 
-A user cannot read a text that changes faster. Surfaces are the largest messages.
+Surfaces are rare because they are the largest messages. A user could not read texts that change
+faster.
 """
 WAIT_S = 0.005
 """Longest wait in a call of the server [s], a quarter of the interval between poses."""
@@ -78,7 +79,7 @@ def scene_to_ras(start: Start) -> Array:
 
 
 class Publisher(RunPublisher):
-    """Server that sends the newest row, the events and the changing surface of a live run.
+    """Server that sends the newest trace row, the events and the changing surface of a live run.
 
     Attributes
     ----------
@@ -165,10 +166,10 @@ class Publisher(RunPublisher):
                 self._arrays.write("target", wanted)
 
     def _target(self, content: bytes) -> Array | None:
-        """Return the requested pose of a transform, shape (7,); None if it is not a rigid motion.
+        """Return the pose that a transform requests, shape (7,); None if the motion is not rigid.
 
-        The pose consists of the tip in the scene [mm] and the rotation relative to the first
-        orientation (x, y, z, w).
+        The pose consists of the tip in the scene [mm] and a quaternion (x, y, z, w) for the
+        rotation relative to the first orientation.
         """
         from scipy.spatial.transform import Rotation
 
@@ -187,7 +188,7 @@ class Publisher(RunPublisher):
         return np.concatenate([tip_mm, quaternion])
 
     def _take_row(self) -> None:
-        """Send the newest row if it is due."""
+        """Send the newest trace row if it is due."""
         now = perf_counter()
         if now - self._posed < FRAME_S:
             return
@@ -259,8 +260,8 @@ class Publisher(RunPublisher):
     def _scene_messages(self) -> list[bytes]:
         """Return the messages that do not change during a run.
 
-        The messages are the tool shape in its own frame, the voxel image, and the faces of an
-        anatomy without voxels and mesh, such as a wall.
+        The messages are the shape of the tool in the tool's frame, the voxel image, and the faces
+        of an anatomy that has neither voxels nor a mesh, such as a wall.
         """
         messages = []
         tool = tool_surface(self._scene.tool)
@@ -283,7 +284,7 @@ class Publisher(RunPublisher):
         return messages
 
     def _surface_message(self) -> bytes:
-        """Return the current surface of the tissue; that of a bone has the layer at each point."""
+        """Return the current surface of the tissue; for bone, with the layer at each point."""
         tissue = self._tissue
         assert tissue is not None
         surface = tissue.surface

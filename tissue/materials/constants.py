@@ -1,6 +1,6 @@
 """Material constants of this package with their sources: cutting coefficients and priors.
 
-A cited constant is a constant with a source from the TOML files of this package.
+A cited constant is a constant in the TOML files of this package, which state its source.
 """
 
 import tomllib
@@ -39,7 +39,10 @@ Layers that are not listed use a material of bone.
 
 @dataclass(frozen=True)
 class Constant:
-    """Cited constant with value, plausible range and source. Its name states the unit."""
+    """Cited constant with value, plausible range and source.
+
+    The name of a constant states the unit.
+    """
 
     value: float
     low: float
@@ -116,7 +119,7 @@ def effective_chip(
 
 @cache
 def constants(table: str, material: str) -> dict[str, Constant]:
-    """Return the constants of a material in ``table.toml``, by their names with units.
+    """Return the constants of a material from the TOML file of a table, keyed by name with unit.
 
     Raises
     ------
@@ -141,7 +144,7 @@ def constants(table: str, material: str) -> dict[str, Constant]:
 
 
 def listed(table: str) -> tuple[str, ...]:
-    """Return the names of the materials in ``table.toml``, in the order of the file."""
+    """Return the names of the materials in the TOML file of a table, in the order of the file."""
     return tuple(_table(table))
 
 
@@ -155,7 +158,7 @@ def thermal_material(layer: str) -> str:
 
 
 def add_material(table: str, material: str, entries: dict[str, Entry]) -> None:
-    """Add a material to the table of ``table.toml`` in this process, but not in the file.
+    """Add a material to a table in this process; the TOML file of the table is not changed.
 
     Raises
     ------
@@ -236,7 +239,7 @@ BOUNDS = {
     "prony_g2": (0.0, 0.5),
     "heat_share": (0.0, 1.0),
 }
-"""Smallest and largest value with which a scene can be built, by name of the constant.
+"""Smallest and largest value with which a scene can be built, keyed by the constant's name.
 
 Only constants whose range is close to a limit are listed: Poisson's ratios of nearly incompressible
 solids, relaxation shares, whose sum must be less than one, and the share of heat. Cited ranges of
@@ -350,7 +353,7 @@ class Prior:
         return slope_y
 
     def z(self, x: ArrayLike) -> Array:
-        """Return the standard normal numbers of values x of the constant.
+        """Return the standard normal numbers that belong to values x of the constant.
 
         The numbers are infinite outside the support of the distribution.
         """

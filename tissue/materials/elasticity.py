@@ -141,7 +141,7 @@ def transversely_isotropic(
 
 
 def volume_preserving_ratio(*, poisson_ratio: float, modulus_ratio: float) -> float:
-    """Compute the Poisson's ratio across fibres for which fibres do not change the bulk modulus.
+    """Compute the transverse Poisson's ratio at which fibres do not change the bulk modulus.
 
     A transversely isotropic material has the Young's moduli E across and r E along its fibres. Its
     Poisson's ratio is nu under tension along the fibres, and nu_across under tension across the
@@ -242,7 +242,7 @@ def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
 
 
 def elasticity_rows(elasticity: ArrayLike, cell_count: int) -> Array:
-    """Return an elasticity as rows: one row for all cells, or one row per cell.
+    """Return elastic constants as rows: one row for all cells, or one row per cell.
 
     The rows are Lamé constants [Pa], shape (1, 2) or (m, 2), or stiffness matrices [Pa], shape (1,
     6, 6) or (m, 6, 6), for m cells.
@@ -250,7 +250,7 @@ def elasticity_rows(elasticity: ArrayLike, cell_count: int) -> Array:
     Raises
     ------
     InputError
-        If the elasticity has another shape, or is not positive definite.
+        If `elasticity` has another shape, or is not positive definite.
     """
     given = np.asarray(elasticity, np.float64)
     if given.ndim in (1, 2) and given.shape[-1] == 2:

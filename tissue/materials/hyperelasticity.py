@@ -115,7 +115,7 @@ class Hyperelastic:
         return (u * (self.derivatives(stretch)[1] / stretch)[..., None, :]) @ v
 
     def derivatives(self, stretch: Array) -> tuple[Array, Array, Array]:
-        """Compute energy density, and its derivatives by the logarithms of the stretches [Pa].
+        """Compute the energy density [Pa], and its derivatives by the logarithms of the stretches.
 
         The stretches have shape (..., 3). The energy has the shape (...), the first derivatives
         have the shape (..., 3), and the second derivatives have the shape (..., 3, 3).

@@ -1,4 +1,4 @@
-"""Constants of a scene: constants of this package, or of a user's file that replaces them.
+"""Constants of a scene: constants of this package, or constants from a user's file.
 
 Constants of this package are called cited, because each has a source.
 """
@@ -33,7 +33,7 @@ TABLES = ("cutting", "tooth", "soft", "needle", "devices", "hands")
 ENERGY = "tangential_chip_N_mm2"
 """Name of the constant that is the specific cutting energy."""
 HARD_LIMITS = {"poisson_ratio": 0.5, "heat_share": 1.0}
-"""Upper limits of constants, by name of the constant.
+"""Upper limits of constants, keyed by the name of the constant.
 
 The equations cannot be solved for a Poisson's ratio of 0.5.
 """
@@ -46,7 +46,7 @@ class Materials:
     Attributes
     ----------
     given
-        Constants of a user's file, by their names ``TABLE.MATERIAL.NAME``. In the table
+        Constants of a user's file, keyed by their names ``TABLE.MATERIAL.NAME``. In the table
         ``cutting``, the name of a layer may replace the name of the material. Constants of the
         layer take precedence over constants of the material.
     names, matrix
@@ -105,7 +105,7 @@ class Materials:
         return cls.read(given)
 
     def constants(self, table: str, material: str) -> dict[str, Constant]:
-        """Return the constants of a material by name; constants of the file replace cited ones.
+        """Return the constants of a material, keyed by name; those in the file replace cited ones.
 
         The result contains all names of the cited constants. A layer of the table ``cutting`` is
         not a material, see `coefficients`. Raises the errors of
@@ -138,8 +138,8 @@ class Materials:
         Parameters
         ----------
         layer_names
-            Enamel, dentin, caries, pulp and ligament have their own materials. Other layers use
-            `bone`.
+            Names of the layers. Enamel, dentin, caries, pulp and ligament have their own materials.
+            Any other layer has the material `bone`.
         changes
             Single constants that replace the material constants in all layers.
         bone
@@ -178,7 +178,7 @@ class Materials:
         )
 
     def correlation(self, names: Sequence[str]) -> Array:
-        """Return the correlation of constants by name, shape (n, n).
+        """Return the correlation matrix, shape (n, n), of the constants with the given names.
 
         The diagonal is one. Pairs that are not in the file have zero correlation.
         """
@@ -237,7 +237,7 @@ FITTED_KEYS = "# keys of the scene: --set "
 
 
 def _instead_of(text: str) -> str:
-    """Return the remedy for a file without constants, from the keys that its comment names."""
+    """Return advice for a file without constants, such as the scene keys to set instead."""
     for line in text.splitlines():
         if line.startswith(FITTED_KEYS):
             keys = line.removeprefix(FITTED_KEYS).replace(" --set ", " and ")
@@ -365,7 +365,7 @@ def energy_note(
     Parameters
     ----------
     layer_names
-        Layers of the bone.
+        Names of the layers of the bone.
     constants
         Constants of the scene.
     bone

@@ -1,1 +1,1 @@
-"""Uncertainty bands of a run from the ranges of its constants; influence of each constant."""
+"""Uncertainty bands of a run's loads from the ranges of its constants, and Sobol indices."""

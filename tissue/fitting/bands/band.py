@@ -63,10 +63,10 @@ MOST_FAILED = 0.1
 If more samples failed, the ends of a 90 % band would describe only the remaining samples.
 """
 SAME = 3e-3
-"""Largest accepted difference between a run's and its band's loads, relative to the peak load.
+"""Largest accepted difference of a run's loads from the nominal loads of its band.
 
-The loads of a band are interpolated between tabulated chip thicknesses, which causes a small
-difference.
+The difference is relative to the peak load. It is not zero, because the loads of a band are
+interpolated between tabulated chip thicknesses.
 """
 SOBOL_ROWS = 512
 """Number of rows of each of the two samples from which the Sobol indices are computed.
@@ -86,18 +86,19 @@ class Band:
         Times of the ticks [s], shape (n,).
     nominal, quantiles
         Loads on the tool at the nominal values of the constants, shape (n, 8), and quantiles of the
-        loads at the five `LEVELS`, shape (5, n, 8). The last axis follows
+        loads at the five `LEVELS`, shape (5, n, 8). The last axis holds the components in
         `tissue.fitting.bands.sample_loads.CHANNELS`.
     constants, values
         Names of the constants that vary, and their values in each sample, shape (samples, p).
     figure_names, figures
-        Names of the figures (see `tissue.fitting.bands.sample_loads.Figure`), and their values in
-        each sample, shape (samples, figures). A value is NaN if the sample does not have the
-        figure, for example the time of an event that does not happen.
+        Names of the summary values (see `tissue.fitting.bands.sample_loads.Figure`), and the values
+        in each sample, shape (samples, figures). A value that a sample does not have is NaN, for
+        example the time of an event that does not happen.
     numbers
         Index of each sample in `files`, shape (samples,).
     files
-        File of materials of every sample, including failed samples. Empty for a band that was read.
+        Text of the materials file of each sample, including failed samples. Empty if the band was
+        read from a folder.
     summary
         Content of ``summary.json`` under the key ``band``.
     """
@@ -135,8 +136,8 @@ def require_band(
     ------
     InputError
         If the number of samples is not between 16 and 65536, or an option has no effect. `workers`
-        has no effect if the samples are not run, or if `scheduler` is given. `each_run` has no
-        effect for a scene that always needs a run of each sample.
+        has no effect if `scheduler` is given, or if the loads of all samples follow from one run.
+        `each_run` has no effect for a scene that always needs a run of each sample.
     """
     rounded(asked)
     if workers is not None:
@@ -168,7 +169,7 @@ def band_of(
     cores: int | None = None,
     progress: Progress = silent,
 ) -> Band:
-    """Compute the band of a scene's loads and figures.
+    """Compute the uncertainty band of a scene's loads and summary values.
 
     Parameters
     ----------
@@ -185,7 +186,7 @@ def band_of(
         samples instead of local processes.
     each_run
         True to run every sample, even if the loads of all samples can be computed from the recorded
-        loads of one run. Needed for figures that are not linear in the constants, such as
+        loads of one run. Needed for summary values that are not linear in the constants, such as
         temperature and stress.
     compute, cores, progress
         As for `tissue.simulate`.
@@ -240,7 +241,7 @@ def band_of(
 def _samples(
     scene: Scene, ranges: Ranges, asked: int, seed: int
 ) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return independent normal numbers, values of the constants, and files of the samples."""
+    """Return standard normal numbers, constants and materials files of all samples."""
     if not ranges.names:
         raise InputError(
             "band",
@@ -254,9 +255,9 @@ def _samples(
 
 
 def _about(ranges: Ranges, indices: Array, figures: tuple[Figure, ...]) -> Summary:
-    """Return a summary of the constants, and of the Sobol indices by figure and group of constants.
+    """Return a summary of the constants, and the Sobol indices of each summary value.
 
-    Figures that do not vary are left out.
+    The indices are keyed by the group of constants. Summary values that do not vary are left out.
     """
     constants = {
         name: {"value": prior.value, "low": prior.low, "high": prior.high}
@@ -348,7 +349,7 @@ def require_same(band: Band, loads: Array) -> None:
     Parameters
     ----------
     loads
-        Force [N] and torque [N m] on the tool that the model computed in the run, shape (n, 6).
+        Force [N] and torque [N m] on the tool, shape (n, 6), as computed by the model in the run.
 
     Raises
     ------
@@ -373,17 +374,16 @@ def require_same(band: Band, loads: Array) -> None:
 OVER_TIME = "band.csv"
 SAMPLES = "band/samples.csv"
 SEPARATOR = "|"
-"""Separator between the parts of a figure's name in the header of the table of samples.
+"""Separator between the parts of a summary value's name in the header of a table of samples.
 
-The separator is not a dot, because the name of a layer or the sentence of an event may contain a
-dot.
+The separator is not a dot, because the name of a layer or the text of an event may contain a dot.
 """
 
 
 def save_band(band: Band, folder: Path, *, kind: str | None) -> None:
     """Write a band into the folder of its run and replace an earlier band.
 
-    Pictures are drawn if `kind` names their format.
+    `kind` is the format of the pictures. If it is None, no pictures are drawn.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Constants that vary, and samples of them by quasi-Monte Carlo."""
+"""Constants that vary in an uncertainty band, and quasi-Monte Carlo samples of these constants."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,9 +21,9 @@ from tissue.scene.used_constants import used_constants
 
 LEAST = 16
 MOST = 65536
-"""Largest number of samples of a band. `LEAST` is the smallest number.
+"""Largest number of samples of a band.
 
-With fewer than 16 samples, no sample lies outside the 90 % band.
+`LEAST` is the smallest number, 16. With fewer samples, no sample would lie outside the 90 % band.
 
 At 16,384 samples, the sampling error of a 95 % quantile is 0.12 % (``tests/bench/bench_band.py``).
 More than 65,536 samples would only cost time.
@@ -32,7 +32,7 @@ More than 65,536 samples would only cost time.
 
 @dataclass(frozen=True, eq=False)
 class Ranges:
-    """Constants that vary.
+    """Constants that vary in an uncertainty band.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Ranges:
 
     @cached_property
     def groups(self) -> tuple[tuple[int, ...], ...]:
-        """Indices of the constants in each group that is correlated, directly or indirectly."""
+        """Indices of the constants in each group of directly or indirectly correlated constants."""
         labels = connected_components(self.correlation != 0.0, directed=False)[1]
         return tuple(
             tuple(np.flatnonzero(labels == label).tolist())
@@ -83,7 +83,7 @@ def ranges_of(
     table: str = "",
     further: Mapping[str, Prior] | None = None,
 ) -> Ranges:
-    """Return the constants that a scene uses, that have a range, and that the scene does not set.
+    """Return the constants of a scene that have a range and are not set by the scene itself.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def ranges_of(
     table
         Only constants whose names begin with this text are returned.
     further
-        Priors of numbers that vary in addition to these constants, by name.
+        Priors of further numbers that vary, keyed by name.
     """
     priors = {
         one.full: Prior.of(one.cited, one.full)
@@ -142,8 +142,8 @@ def sampled(constants: Materials, names: Sequence[str], x: Array) -> Materials:
 
     `x` has shape (p,).
 
-    The names have the form ``TABLE.MATERIAL.NAME``. Factors on densities are left out, because they
-    are not constants of a material.
+    The names have the form ``TABLE.MATERIAL.NAME``. Density factors are left out, because they are
+    not constants of a material.
     """
     values = (Constant(value, value, value, SOURCE, "L") for value in map(float, x))
     drawn = {
@@ -157,7 +157,7 @@ def sampled(constants: Materials, names: Sequence[str], x: Array) -> Materials:
 def sample_text(constants: Materials, names: Sequence[str], x: Array) -> str:
     """Return the text of the TOML file of a sample.
 
-    A factor on the density is written as a comment, because no scene accepts it.
+    A density factor is written as a comment, because a scene cannot set it.
     """
     lines = [
         f"# {name} = {float(value)!r}, which no file of materials holds"
@@ -192,17 +192,18 @@ With 400 draws, the probability beyond each end, which should be 5 %, has a stan
 def sobol_indices(
     figures: Callable[[Array], Array], groups: tuple[tuple[int, ...], ...], *, count: int, seed: int
 ) -> Array:
-    """Compute first-order and total indices of a function of standard normal numbers.
+    """Compute first-order and total Sobol indices of a function of standard normal numbers.
 
-    The numbers are independent. Two samples A and B are drawn. For every group, a third sample is A
-    with the columns of the group taken from B. First-order indices use the formula of Saltelli et
-    al. (2010, Comput. Phys. Commun. 181:259, table 2 b). Total indices use the formula of Jansen
-    (table 2 f in the same paper).
+    The numbers are independent. Two samples A and B are drawn. For each group of constants, a third
+    sample is a copy of A in which the columns of this group are taken from B. First-order indices
+    use the formula of Saltelli et al. (2010, Comput. Phys. Commun. 181:259, table 2 b). Total
+    indices use the formula of Jansen (table 2 f in the same paper).
 
     Parameters
     ----------
     figures
-        Function from numbers of shape (n, p) to figures of shape (n, figures).
+        Function that maps normal numbers, shape (n, p), to n rows of values, shape (n, figures).
+        Indices are computed for each column of values.
     groups
         Columns of each group. Every column belongs to one group.
     count
@@ -211,9 +212,9 @@ def sobol_indices(
 
     Returns
     -------
-    Influence of each group of constants on each figure, shape (2, 3, groups, figures). The first
+    Influence of each group of constants on each value, shape (2, 3, groups, figures). The first
     axis is first-order and total index. The second axis is the index and the two ends of its 90 %
-    bootstrap interval. NaN for a figure that does not vary.
+    bootstrap interval. The indices of a value that does not vary are NaN.
     """
     width = sum(map(len, groups))
     both = normals(count, 2 * width, seed=seed)
@@ -242,7 +243,7 @@ def sobol_indices(
 
 
 def _with_ends(whole: Array, drawn: list[Array]) -> Array:
-    """Return indices and the ends of their 90 % intervals over resampled rows, on the axis 1."""
+    """Return Sobol indices and the ends of their 90 % bootstrap intervals, stacked along axis 1."""
     ends = np.quantile(np.array(drawn), (0.05, 0.95), axis=0)
     return np.stack([whole, *ends], axis=1)
 
@@ -254,19 +255,19 @@ If this share is smaller, more than a fifth of the variance is attributed to no 
 wrong constant.
 """
 RIDGES = 10.0 ** np.arange(-6, 3)
-"""Ridge parameters that are compared, relative to the unit variance of the polynomials.
+"""Ridge parameters that are compared; the terms of the polynomial have unit variance.
 
 With the smallest parameter the surrogate interpolates the runs. With the largest parameter it is
 almost constant.
 """
 REFITS = 100
-"""Number of bootstrap draws of a surrogate: fewer than `DRAWS`, because each needs a fit."""
+"""Number of bootstrap draws of a surrogate: fewer than `DRAWS`, because each draw needs a fit."""
 
 
 def surrogate_indices(
     free: Array, figures: Array, groups: tuple[tuple[int, ...], ...], *, seed: int
 ) -> tuple[Array, Array]:
-    """Return the Sobol indices of figures, and the share of variance that a polynomial explains.
+    """Return Sobol indices of summary values, and the share of variance that a polynomial explains.
 
     The indices have the form of `sobol_indices`.
 
@@ -279,7 +280,7 @@ def surrogate_indices(
     free
         Independent standard normal numbers of each run, shape (n, p).
     figures
-        Figures of each run, shape (n, figures).
+        Summary values of each run, shape (n, figures).
     groups
         Columns of each group. Every column belongs to one group.
     """
@@ -308,9 +309,9 @@ def surrogate_indices(
 
 
 def _terms(width: int) -> list[tuple[int, ...]]:
-    """Return the columns that each polynomial term multiplies: one column, squares and pairs.
+    """Return the column indices of each polynomial term: single columns, squares and pairs.
 
-    A square contains its column twice.
+    The term of a square contains the index of its column twice.
     """
     places = range(width)
     return [*((at,) for at in places), *((at, at) for at in places), *combinations(places, 2)]
@@ -333,7 +334,7 @@ def _fitted(basis: Array, values: Array, ridge: float) -> Array:
 
 
 def _best(basis: Array, values: Array) -> tuple[float, float]:
-    """Return the best ridge parameter and the share of the variance that the fit explains.
+    """Return the best ridge parameter, and the share of the variance that the fit explains.
 
     The best ridge parameter has the smallest error on runs that are left out of the fit one by one.
     This error has a closed form (Allen 1974, Technometrics 16:125).
@@ -352,7 +353,7 @@ def _best(basis: Array, values: Array) -> tuple[float, float]:
 
 
 def _shares(coefficients: Array, alone: Array, members: Array) -> Array:
-    """Return first-order and total indices, shape (2, groups)."""
+    """Return first-order and total Sobol indices, shape (2, groups)."""
     # coefficients of zero have no indices: 1e-300 avoids a division by zero
     squares = coefficients**2 / max(float((coefficients**2).sum()), 1e-300)
     return np.stack([alone @ squares, members @ squares])

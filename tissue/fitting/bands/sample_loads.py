@@ -1,4 +1,4 @@
-"""Loads and figures for samples of constants, from reweighed loads or from one run per sample."""
+"""Loads and summary values of samples, from the unit loads of one run or from a run per sample."""
 
 import re
 from collections.abc import Iterator
@@ -36,7 +36,7 @@ CHANNELS = (
 """Components and magnitudes of the model's loads on the tool, in the world frame."""
 DENSITY = "density.bone"
 BLOCK = 500_000
-"""Number of loads that are in memory at once: 4 MB, about the size of a cache."""
+"""Number of loads that are in memory at once: 4 MB, about the size of a processor cache."""
 LAW = re.compile(r"median ([\d.]+) kg/m3, 90 % between ([\d.]+) and ([\d.]+)")
 
 
@@ -62,7 +62,7 @@ class Reweighed:
 
     @cached_property
     def ranges(self) -> Ranges:
-        """Constants with a range, for the layers that the tool touched.
+        """Constants of the touched layers that have a range.
 
         Constants that the scene sets itself are left out.
         """
@@ -72,7 +72,7 @@ class Reweighed:
         return ranges_of(self.record.scene, met, table="cutting.", further=further)
 
     def coefficients(self, x: Array) -> tuple[CuttingCoefficients, ...]:
-        """Return the cutting coefficients of each layer for the constants `x`, shape (p,)."""
+        """Return the cutting coefficients of each layer for constants `x` of shape (p,)."""
         cutting = self.record.scene.cutting
         changes = cutting.model_dump(exclude={"material"})
         held = sampled(self.record.scene.constants, self.ranges.names, x)
@@ -83,9 +83,9 @@ class Reweighed:
         return np.array([prior.value for prior in self.ranges.priors])
 
     def weights(self, x: Array) -> Array:
-        """Return the factors by which all unit loads are multiplied, shape (samples, units).
+        """Return the factors, shape (samples, units), by which the unit loads are multiplied.
 
-        The constants `x` of the samples have shape (samples, p). The unit loads are those of
+        The constants `x` of the samples have shape (samples, p). Unit loads are described in
         `tissue.simulation.load_record.LayerLoads`.
         """
         layers = len(self.record.layer_names)
@@ -100,7 +100,7 @@ class Reweighed:
         return np.array(rows)
 
     def figures(self, x: Array) -> Array:
-        """Return the figures `LOADS` for the constants `x` of samples, shape (samples, 4)."""
+        """Return the summary values `LOADS` of samples with constants `x`, shape (samples, 4)."""
         weights = self.weights(x)
         peak = np.zeros((len(x), 2))
         sums = np.zeros((len(x), 2))
@@ -149,7 +149,7 @@ def with_sizes(loads: Array) -> Array:
 
 
 def density_prior(law: str) -> Prior | None:
-    """Return the prior of a density factor from a note on the law that converts CT to density.
+    """Return the prior of a layer's density factor, read from a note on the CT-to-density law.
 
     The result is None if the note describes no law. The note gives the median density and its 90 %
     range. The relative range is applied to every voxel.
@@ -163,7 +163,7 @@ def density_prior(law: str) -> Prior | None:
 
 
 Figure = tuple[str, ...]
-"""Name of a figure: the keys that lead to its value in ``summary.json``.
+"""Name of a summary value: the keys that lead to the value in ``summary.json``.
 
 For the time of an event, the keys are ``events``, the sentence of the event and ``time_s``.
 """
@@ -172,7 +172,7 @@ LEVELS = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
 LOADS: tuple[Figure, ...] = tuple(
     (name, figure) for name in ("force_N", "torque_Nm") for figure in ("peak", "mean_in_contact")
 )
-"""Figures that every run has. They are the first columns of a table and have Sobol indices."""
+"""Summary values that every run has. Sobol indices are computed for these values."""
 NUMBER = re.compile(r"-?\d+(\.\d+)?([eE][-+]?\d+)?(?![\d.]*%)")
 """Pattern of a measured number in the sentence of an event.
 
@@ -181,18 +181,18 @@ A percentage is not matched, because it is a threshold that distinguishes two ev
 PEAKS = "_K"
 STRESS = "von_mises_"
 LARGEST_PREFIX = "greatest_"
-"""Prefix in the name of a figure that is the largest value of a field.
+"""Prefix in the name of a summary value that is the largest value of a field.
 
-`PEAKS` is the suffix of trace columns (temperatures) whose largest value is a figure.
+`PEAKS` is the suffix of trace columns (temperatures) whose largest value is a summary value.
 """
 
 
 def figures_of(run: Run) -> dict[Figure, float]:
     """Return the numbers that summarise a run.
 
-    The figures are loads, volumes, contact, clearances, largest temperature and stress, and events.
-    An event is named by its sentence without numbers, and only its first occurrence counts. Events
-    about a machine that was too slow are left out.
+    The numbers are loads, volumes, contact, clearances, largest temperature and stress, and times
+    of events. An event is named by its sentence without numbers, and only its first occurrence
+    counts. Events that report that the computer was too slow are left out.
     """
     summary = run.summary
     trace = run.trace
@@ -230,23 +230,23 @@ def figures_of(run: Run) -> dict[Figure, float]:
 
 
 def table_of(runs: list[dict[Figure, float]]) -> tuple[tuple[Figure, ...], Array]:
-    """Return the names of all figures and their values in each run, shape (runs, figures).
+    """Return the names of all summary values, and the values in each run, shape (runs, figures).
 
-    The value of a figure that a run does not have is NaN.
+    If a run does not have a summary value, the entry is NaN.
     """
     names = tuple(dict.fromkeys(name for run in runs for name in run))
     return names, np.array([[run.get(name, np.nan) for name in names] for run in runs])
 
 
 def intervals(names: tuple[Figure, ...], values: Array) -> Summary:
-    """Return quantiles of figures, nested as in a run's summary.
+    """Return quantiles of summary values, nested as in a run's summary.
 
-    For a figure that only some runs have, the share of these runs is given too.
+    For a summary value that only some runs have, the share of these runs is added.
 
     Parameters
     ----------
     values
-        Values of the figures, shape (runs, figures), NaN where a run does not have the figure.
+        Summary values, shape (runs, figures), NaN where a run does not have the value.
     """
     found: Summary = {}
     for name, column in zip(names, values.T, strict=True):
@@ -264,12 +264,12 @@ def intervals(names: tuple[Figure, ...], values: Array) -> Summary:
 
 
 def _by_level(values: Array) -> dict[str, float]:
-    """Return quantiles of numbers by their names."""
+    """Return quantiles of numbers, keyed by the names in `LEVELS`."""
     return dict(zip(LEVELS, np.quantile(values, tuple(LEVELS.values())).tolist(), strict=True))
 
 
 REACH = 0.9
-"""Smallest share of the runs that must last until a tick for quantiles to be computed there.
+"""Share of the runs that must reach a tick, so that quantiles are computed for this tick.
 
 With a smaller share, the 5 and 95 % quantiles would describe only a part of the runs.
 """
@@ -291,7 +291,7 @@ def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
 
     Returns
     -------
-    Quantiles, shape (5, ticks, channels), and a summary of the time span that they cover.
+    Quantiles, shape (5, ticks, channels), and a summary of the time span that the quantiles cover.
     """
     lengths = np.sort([len(each) for each in loads])
     reached = len(lengths) - np.searchsorted(lengths, np.arange(len(times_s)), side="right")
@@ -314,7 +314,7 @@ def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
 
 
 Outcome = tuple[Array, dict[Figure, float]] | str
-"""Loads, shape (n, 8), and figures of a run; or the reason why the run failed."""
+"""Loads, shape (n, 8), and summary values of a run; or the reason why the run failed."""
 
 
 @dataclass(frozen=True)
@@ -329,12 +329,12 @@ class Workers:
 def reruns(
     scene: Scene, files: tuple[str, ...], *, workers: Workers, report: Progress
 ) -> Iterator[tuple[int, Outcome]]:
-    """Run a scene with each file of materials, and yield number and outcome when a run ends.
+    """Run a scene with each materials file, and yield its number and outcome when the run ends.
 
     Raises
     ------
     InputError
-        If no scheduler answers, or workers are lost again and again.
+        If no scheduler answers, or workers are lost repeatedly.
     """
     samples = tuple(enumerate(files))
     work = partial(_outcome, scene, workers.compute)
@@ -366,7 +366,7 @@ def reruns(
 def _outcome(scene: Scene, compute: str, sample: tuple[int, str]) -> Outcome:
     """Run the scene with the constants of a sample, and return the outcome.
 
-    `sample` contains the number of the sample and its file of materials.
+    `sample` contains the number of the sample and the text of its materials file.
     """
     with TemporaryDirectory(prefix="tissue-band-") as name:
         path = Path(name, "sample.toml")

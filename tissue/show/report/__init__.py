@@ -1,1 +1,1 @@
-"""Report on a run as one HTML file: figures, forces, 3D view over time, materials, scene."""
+"""Report on a run as one HTML file: key figures, forces, 3D view over time, materials, scene."""

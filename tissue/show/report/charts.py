@@ -84,7 +84,7 @@ HIDDEN = ("tool_q", "device_q")
 def columns(trace: Table) -> Record:
     """Return the encoded columns of a trace that vary.
 
-    The layer of largest contact in each row is returned too.
+    The index of the layer with the largest contact area in each row is also encoded.
     """
     varying = [
         name

@@ -1,4 +1,4 @@
-"""Text of a report as HTML: figures, bands, events, notes, materials, scene and versions."""
+"""Text of a report as HTML: key figures, bands, events, notes, materials, scene and versions."""
 
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -118,7 +118,7 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
 
 
 def _margin_text(kept: Summary) -> str:
-    """Return whether a tool kept the margin of a structure; empty without a margin."""
+    """Return a text on whether a tool kept its margin to a structure; empty without a margin."""
     if "margin_mm" not in kept:
         return ""
     if (first_s := kept["first_below_margin_s"]) is None:
@@ -181,9 +181,9 @@ def materials_table(used: Sequence[Used], text: Text) -> str:
 
 
 def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) -> str:
-    """Return the HTML sections with the scene, the commands to run it again, and the versions.
+    """Return the HTML sections with the scene, commands that repeat the run, and the versions.
 
-    `versions` contains pairs of name and version, for programs and for the machine.
+    `versions` contains pairs of a name and a version, for programs and for the machine.
     """
     data = b64encode(scene_text.encode()).decode("ascii")
     keep = (
@@ -277,7 +277,7 @@ LARGEST_PREFIX = "greatest_"
 
 
 def _band_text(band: Summary) -> str:
-    """Return a text on the method of a band, and on the most important constants.
+    """Return a text on the method of an uncertainty band, and on the most important constants.
 
     These constants have the largest influence on the peak force.
     """
@@ -305,8 +305,8 @@ def _band_text(band: Summary) -> str:
 def band_lines(band: Summary) -> Iterator[str]:
     """Yield sentences about an uncertainty band.
 
-    They state the number of samples, the 90 % intervals of figures, and the samples that are left
-    out.
+    The sentences state the number of samples, the 90 % intervals of summary values, and the names
+    of failed samples, which are left out.
     """
     yield _band_text(band)
     for name, ends in band.items():

@@ -40,7 +40,7 @@ NAME = "report.html"
 SCRIPTS = ("decode", "moment", "charts", "surfaces", "stage", "report")
 """Scripts of this project in a report, in the order of their dependencies."""
 PACKED = "data"
-"""Key of encoded arrays in JSON; they are not cleaned as texts."""
+"""Key of encoded arrays in JSON. Folder names are not removed from these arrays."""
 Clean = Callable[[str], str]
 """Function that removes the folders of files from a text."""
 
@@ -192,9 +192,7 @@ def _cleaned(value: Any, clean: Clean) -> Any:
 
 
 def _data_element(data: Record) -> str:
-    """Return the HTML element that contains the data as JSON; no text of the run can end the
-    element.
-    """
+    """Return the HTML element that contains the data as JSON, escaped for HTML."""
     written = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return f'<script type="application/json" id="report-data">{written}</script>'
 

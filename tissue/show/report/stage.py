@@ -148,7 +148,7 @@ def _add_tool(record: Record, trace: Table, scene: Scene | None, *, size_mm: flo
 def _still(surface: "pyvista.PolyData") -> Record:
     """Return the record of a surface that keeps its shape.
 
-    The two sides of an edge have separate points.
+    The two sides of a sharp edge have separate points, because their normals differ.
     """
     surface = with_normals(surface.triangulate())
     mesh = packed_mesh(surface.points, surface.regular_faces)
@@ -158,8 +158,9 @@ def _still(surface: "pyvista.PolyData") -> Record:
 def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
     """Yield time [s], kind and surface [mm] of each surface of the bone.
 
-    The kind is True for the part of the bone that no cut changes. Without the recorded surfaces,
-    which are coarser than the voxels, the cuts are replayed.
+    The kind is True for the part of the bone that no cut changes. If a complete run has recorded
+    surfaces, which are coarser than its voxels, these surfaces are used. Otherwise the cuts are
+    replayed.
     """
     import pyvista
 
@@ -269,8 +270,9 @@ def _add_fields(record: Record, fields: SavedFields, plane: Plane) -> None:
 
 
 def _shares(values: ArrayLike, limits: tuple[float, float]) -> Array:
-    """Return the positions of values on their colour scale, which is logarithmic if it begins above
-    0.
+    """Return the positions of values on their colour scale.
+
+    The scale is logarithmic if it begins above 0.
     """
     low, high = limits
     values = np.asarray(values, dtype=np.float64)
@@ -305,7 +307,7 @@ def _scale(
     colours: Array,
     limits: tuple[float, float] | None = None,
 ) -> Record:
-    """Return the record of a colour scale: texts, colours as bytes, and ends.
+    """Return the record of a colour scale: label, unit, colours as bytes, and end values.
 
     The scale is logarithmic if it begins above 0.
     """

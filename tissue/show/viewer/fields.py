@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     import pyvista
 
 TETRAHEDRON = 10
-"""VTK's number of the cell type."""
+"""VTK's number of the cell type tetrahedron."""
 AMBIENT = 0.78
 DIFFUSE = 0.25
-"""Diffuse light on a field.
+"""Diffuse light on a mesh that is coloured by a field.
 
-The shade shows the shape, but the colours still agree with the scale.
+The light is weak. It shows the shape, but the colours still match the colour scale.
 """
 SHOWN = "shown"
 """Name of the array that is drawn."""
@@ -209,7 +209,7 @@ class BoneShown:
     Parameters
     ----------
     plotter
-        Plotter of the bone. If bone was removed, its key c switches the colours.
+        Plotter of the bone. If bone was removed, the key c switches the colours.
     bone
         Bone over time.
     legend
@@ -220,7 +220,7 @@ class BoneShown:
     layers
         Names of the layers that can be hidden.
     help
-        Description of the key; empty if there is no key.
+        Description of the key c; empty if the key has no function.
     points_mm
         Points of the initial surface [mm], shape (n, 3).
     colours

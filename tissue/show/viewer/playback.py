@@ -7,7 +7,7 @@ SLOWEST_S = 4.0
 
 
 class Playback:
-    """Time that is shown, which the user sets or a playback advances.
+    """Shown time of a view, which the user sets or the playback advances.
 
     Parameters
     ----------

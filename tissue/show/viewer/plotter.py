@@ -17,9 +17,9 @@ their arguments.
 STILL_PX = 2
 """Largest motion of the mouse during a click [pixels], because hands are never still."""
 KEPT = tuple("eqrsw")
-"""Keys of VTK that are kept: leave (e, q), reset the camera, surfaces, wireframe."""
+"""VTK keys that stay active: exit (e, q), camera reset (r), surfaces (s), wireframe (w)."""
 ROTATE = 1
-"""VTK's number of the state in which the left button rotates the camera."""
+"""VTK's number of the interactor state in which the left button rotates the camera."""
 
 
 def in_words(vector: ArrayLike, digits: int = 2) -> str:
@@ -144,11 +144,11 @@ def add_colour_scale(
 
 
 def on_click(plotter: Plotter, click: Callable[[int, int], object]) -> None:
-    """Call a function with x and y of the mouse whenever the left button is clicked.
+    """Call a function with the mouse position whenever the left button is clicked.
 
-    x and y are counted in pixels from the lower left corner. In a click, the button is pressed and
-    released in the same place. Between press and release, VTK's interactor style, which rotates the
-    camera, receives all mouse events. This function therefore observes the events of the style.
+    The position is x and y in pixels from the lower left corner. In a click, the button is pressed
+    and released in the same place. Between press and release, VTK's interactor style, which rotates
+    the camera, receives all mouse events. This function therefore observes the events of the style.
     """
     interactor = plotter.iren.interactor
     style = interactor.GetInteractorStyle()
@@ -170,7 +170,8 @@ def on_click(plotter: Plotter, click: Callable[[int, int], object]) -> None:
 def free_keys(plotter: Plotter) -> None:
     """Switch off the keys that VTK binds to actions, except `KEPT`.
 
-    For example, VTK uses 3 for a stereo picture, and m for an animation that stops the mouse.
+    For example, VTK binds the key 3 to a stereo picture, and the key m to an animation that blocks
+    the mouse.
     """
     interactor = plotter.iren.interactor
     style = interactor.GetInteractorStyle()
@@ -192,7 +193,7 @@ def aim(
     margins: tuple[float, float, float, float] = MARGINS,
     parallel: bool = False,
 ) -> None:
-    """Look from the front and above, so that points fill an area of the window.
+    """Look from the front and above, so that the given points fill an area of the window.
 
     `margins` are the left, right, lower and upper end of the area, relative to the window.
 

@@ -35,7 +35,8 @@ def _chart(
     """Add a chart of the force over time along the lower edge, with a cursor.
 
     The commanded force is pale, and the force of the model is drawn in front of it. Otherwise the
-    vibration of the teeth would look like a band that hides the force of the model.
+    tooth-passing vibration in the commanded force would look like a band that hides the force of
+    the model.
     """
     import pyvista
 
@@ -200,7 +201,8 @@ class RunScene:
     saved
         Saved run.
     choice
-        Initial view. The caller must still apply its hidden layers, its field and its time.
+        Initial view. The caller must still apply the hidden layers, the field and the time of this
+        view.
     plotter
         Plotter of the run.
     fine
@@ -217,7 +219,8 @@ class RunScene:
     series
         Fields of the run over time, or None.
     colours
-        Red, green and blue (0 to 1) of each layer and face that can be hidden.
+        Colour (red, green and blue, 0 to 1) of each layer and face that can be hidden, keyed by
+        name.
     face_colours
         Colours of the faces.
     times_s
@@ -371,7 +374,7 @@ class RunScene:
 
 
 def times_of(saved: SavedRun, series: SavedFields | None) -> Array:
-    """Return the times of a run that can be shown [s]: of the trace, or else of the fields."""
+    """Return the times [s] of a run that can be shown: of its trace, or else of its fields."""
     if saved.trace is not None and len(saved.trace.rows):
         return saved.trace["time_s"]
     return np.zeros(0) if series is None else series.times_s

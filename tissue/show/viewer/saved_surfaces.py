@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from tissue.models.bone.carver import CarvingReplay
 
 Plane = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Normal and point [mm] of a plane. The part on the side of the normal is left out."""
+"""Normal and point [mm] of a plane. The part of a mesh on the side of the normal is not drawn."""
 INSIDE_MM = 1e-4
 """Distance between a cutting plane and the deepest point of the tool [mm].
 
@@ -54,8 +54,8 @@ def saved_fields(saved: SavedRun) -> SavedFields | None:
 def cut_plane(saved: SavedRun, fields: SavedFields) -> Plane:
     """Return the plane at which the mesh of a run is cut open.
 
-    The plane is perpendicular to y and contains the deepest point of the tool. The part towards the
-    viewer is left out.
+    The plane is perpendicular to y and contains the deepest point of the tool. The part of the mesh
+    towards the viewer is not drawn.
     """
     x, y, z = map(float, fields.frames[0].center)
     if saved.trace is not None and len(saved.trace.rows):
@@ -69,9 +69,9 @@ def tool_force(trace: Table) -> Array:
 
 
 COARSE_MM = 0.4
-"""Voxel spacing with which the bone of an incomplete run is made and cut again [mm].
+"""Voxel spacing with which the bone of an incomplete run is built and cut again [mm].
 
-The voxels of such a run were not saved, so they are made again while the user waits.
+An incomplete run saved no voxels, so they are built again while the user waits.
 """
 
 
@@ -133,11 +133,11 @@ class BoneOverTime:
         return True
 
     def rest(self, shown: Collection[int]) -> "pyvista.PolyData":
-        """Return the surface [mm] of the layers `shown` where no cut of the run changes it."""
+        """Return the part of the surface [mm] of the layers `shown` that no cut changes."""
         return _smooth(self._of(shown).rest())
 
     def cut(self, shown: Collection[int]) -> "pyvista.PolyData":
-        """Return the surface [mm] of the layers `shown` where cuts of the run change it.
+        """Return the part of the surface [mm] of the layers `shown` that cuts change.
 
         The surface belongs to the tick that was set with `at`.
         """
@@ -163,8 +163,8 @@ class BoneOverTime:
 def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
     """Return the bone of a run over time, or None for a run without voxels.
 
-    The voxels of an incomplete run are made again from its scene, and are coarser. If they cannot
-    be made, the result is None.
+    The voxels of an incomplete run are built again from its scene, with a larger spacing. If they
+    cannot be built, the result is None.
     """
     if saved.complete:
         file = saved.path / "bone.vti"

@@ -16,15 +16,14 @@ SIZE = (1400, 950)
 SITE = "#0072B2"
 UNSAVED = "#D55E00"
 SAMPLES = 60_000
-"""Number of points of the surface from which normals are estimated: about one per square
-millimetre.
-"""
+"""Number of surface points from which normals are estimated: about one per square millimetre."""
 EYE = np.array([0.35, -1.0, 0.35])
-"""Direction to the eye if there is no site: the view is from the front of the patient, slightly
-from the left and above.
+"""Direction from the bone to the camera if there is no site.
+
+The view is from the front of the patient, slightly from the left and above.
 """
 ASIDE = 0.6
-"""Ratio of the eye's lateral offset to its distance along the normal.
+"""Ratio of the camera's lateral offset to its distance along the normal.
 
 With this offset, the arrow along the normal is visible.
 """

@@ -163,7 +163,7 @@ def _draw_apart(
 ) -> None:
     """Draw a file in a separate process; if this fails, an existing file stays unchanged.
 
-    The command is a module and its arguments. The file is added as last argument.
+    The command is a module and its arguments. The path of the file is added as the last argument.
     """
     with (
         whole_file(file) as temporary,
@@ -264,7 +264,7 @@ def show(
         Initial view of the run.
     kind, file
         File to write instead of opening a window, and its kind: ``screenshot`` (PNG) or ``movie``
-        (MP4 or GIF). While a movie is written, the share that is finished is printed.
+        (MP4 or GIF). While a movie is written, the finished share is printed.
     """
     window = Window(saved, title, choice, off_screen=file is not None)
     if file is None:
@@ -281,9 +281,10 @@ def show(
 PAGE = "tissue.show.viewer.web.view_page"
 OPENS_S = 120.0
 CLOSES_S = 10.0
-"""Longest time until a page is served, and until it is closed [s].
+"""Longest time until a page is closed [s].
 
-The first time is long because a large run is read and drawn before its page is served.
+`OPENS_S` is the longest time until a page is served. It is long because a large run is read and
+drawn before its page is served.
 """
 
 

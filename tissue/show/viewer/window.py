@@ -33,10 +33,13 @@ PLACE_PX = (40, 380)
 LONGEST = 0.15
 """Largest length of a scale bar, relative to the width of the window."""
 BORDER = 0.02
-"""Free border of a clean picture before it is cropped, relative to its edges."""
+"""Free border of a picture without text and controls before cropping, relative to its size."""
 FINE = 2
 AROUND_PX = 8
-"""Pixels of a clean picture per pixel of the window, and margin around the content [pixels]."""
+"""Margin around the content of a picture without text and controls [pixels].
+
+Before cropping, such a picture has `FINE` times the width and height of the window in pixels.
+"""
 
 
 def add_scale_bar(plotter: Plotter) -> None:
@@ -81,12 +84,14 @@ def write_clean(plotter: Plotter, file: Path) -> None:
 FRAMES_PER_S = 20
 """Frame rate of movies [1/s].
 
-MP4 and GIF support this rate. A GIF counts time in 1/100 s.
+MP4 and GIF support this rate. A GIF counts time in 1/100 s, so a frame must last a whole number of
+these units.
 """
 SHORTEST_S = 4.0
 LONGEST_S = 12.0
-"""Shortest and longest duration of a movie [s]; shorter and longer runs are played slower or
-faster.
+"""Longest duration of a movie [s]; `SHORTEST_S` is the shortest duration.
+
+A shorter or longer run is played slower or faster.
 """
 KINDS = (".mp4", ".gif")
 
@@ -173,7 +178,7 @@ def _write_mp4(path: Path, pictures: Iterable[Bytes]) -> None:
 
 SIZE = (1400, 950)
 SLIDERS = CHART_SHARE + 0.04
-"""Height of the sliders, relative to the window."""
+"""Vertical position of the sliders, relative to the height of the window."""
 LARGEST = 0.3
 """Largest drawn displacement that the slider allows, relative to the size of the mesh."""
 PUSH = 0.02
@@ -300,7 +305,7 @@ class Window:
         self.to(self.playback.time_s)
 
     def to(self, time_s: float) -> None:
-        """Go to a time."""
+        """Show the run at a time."""
         if self._slider is not None:
             self._slider.GetRepresentation().SetValue(time_s)
         self._drag(time_s)
@@ -336,7 +341,7 @@ class Window:
         self._shown.at(time_s)
 
     def _add_keys(self) -> tuple[str, str]:
-        """Add keys and the factor of the displacement; return two lines of help."""
+        """Add the keys, and a slider for the displacement factor; return two lines of help."""
         plotter = self.plotter
         shown = self._shown
         first = [self.bone.help] if self.bone is not None else []

@@ -1,4 +1,4 @@
-"""Scene of a live run in a plotter: tissue, tool, force and mark of the device."""
+"""Scene of a live run in a plotter: tissue, tool, force and requested position."""
 
 import json
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ NUMBERS = ("time_s", "removed_mm3", *CLOCK)
 
 @dataclass(frozen=True)
 class Readings:
-    """Newest row of the trace, and clock values.
+    """Values of the newest trace row and of the clock.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class Readings:
 
 
 def read_start(folder: Path) -> tuple[Scene, Start]:
-    """Read the scene and the initial data that the process of the ticks wrote to a folder."""
+    """Read the scene and the initial data from the folder of the simulation process."""
     with np.load(folder / "start.npz", allow_pickle=False) as file:
         start: Start = dict(file)
     return Scene.read_back((folder / "scene.json").read_text("utf-8")), start
@@ -98,7 +98,8 @@ def read_start(folder: Path) -> tuple[Scene, Start]:
 PASSES = 4
 """Number of passes that smooth the normals.
 
-The number is smaller than in a picture, because each change of the bone requires new normals.
+A still picture uses more passes. A live run needs a small number, because each change of the bone
+requires new normals.
 """
 AROUND = 0.7
 """Margin that is shown around the touchable surface, relative to its size."""
@@ -106,7 +107,7 @@ ORGAN = "#CC8E7D"
 
 
 class LiveScene:
-    """Drawn objects of a live run: tissue, tool, force, coupling spring and mark of the device.
+    """Drawn objects of a live run: tissue, tool, force, coupling spring and requested position.
 
     Parameters
     ----------
@@ -261,7 +262,7 @@ class LiveScene:
         self._cut.SetNormal(*normal)
 
     def _add_tool(self) -> None:
-        """Add the tool, the mark of the device and the spring between them."""
+        """Add the tool, a mark at the requested position, and the spring between them."""
         import pyvista
 
         size_mm = float(np.linalg.norm(np.ptp(self.points_mm, axis=0)))
@@ -291,7 +292,7 @@ def add_organ(plotter: Plotter, organ: OrganSurface) -> None:
 
 NOTCH_MM = 0.5
 KEY_MM = 0.5
-"""Travel for a notch of the wheel and for a key press [mm], a fraction of a small burr."""
+"""Travel per notch of the mouse wheel or key press [mm]: a fraction of a small burr's diameter."""
 KEYS = {
     "Left": (-1.0, 0.0, 0.0),
     "Right": (1.0, 0.0, 0.0),
@@ -300,7 +301,7 @@ KEYS = {
     "s": (0.0, 0.0, -1.0),
     "w": (0.0, 0.0, 1.0),
 }
-"""Directions to the right and upward in the view, and outward along the tool, keyed by key."""
+"""Direction of each key: right and up in the view, and outward along the tool."""
 SAME_KEYS = {"Next": "s", "PageDown": "s", "Prior": "w", "PageUp": "w"}
 """Other names of keys in `KEYS`, in VTK and in browsers."""
 

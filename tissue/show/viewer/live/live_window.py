@@ -111,7 +111,7 @@ class LiveWindow:
 def _main(folder: str) -> None:
     """Open the window, report this on standard output, and run the window until the end.
 
-    The ticks or the user end the window.
+    The window ends when the simulation ends or the user closes it.
     """
     standard_output = own_process(beside_ticks=True)
     window = LiveWindow(Path(folder))

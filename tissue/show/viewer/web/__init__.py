@@ -1,3 +1,4 @@
-"""Live and finished runs in a browser: this machine draws pictures for one page on the same
-machine.
+"""Live and finished runs in a browser.
+
+This machine draws the pictures for one page, which is open on the same machine.
 """

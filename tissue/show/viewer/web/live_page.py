@@ -19,16 +19,16 @@ SIZE = (960, 720)
 """Size of the picture until the page reports its own size [pixels]."""
 MARGINS = (0.05, 0.95, 0.06, 0.94)
 ABOVE = 0.3
-"""Visible height above the tip of the tool, relative to the size of the scene; larger than the
-longest arrow.
+"""Visible height above the tip of the tool, relative to the size of the scene.
+
+The height is larger than the length of the longest arrow.
 """
 
 
 class LivePage:
     """Live run on a page, where the mouse moves the tool.
 
-    The ticks wait while no page is open or the run is paused. The tool does not move during this
-    time.
+    While no page is open or the run is paused, no ticks are computed and the tool does not move.
 
     Parameters
     ----------

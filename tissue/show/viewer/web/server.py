@@ -1,4 +1,4 @@
-"""Server of a page on this machine: access control, and pictures and figures over a WebSocket."""
+"""Server of a page on this machine: access control, and pictures and values over a WebSocket."""
 
 import asyncio
 import json
@@ -33,8 +33,7 @@ NUMBERS = {
 """Ranges of the numbers in messages, keyed by message and entry."""
 WORDS = ("key", "field", "layer")
 SWITCHES = ("pause", "play", "cut")
-"""Messages with the text ``name`` as only entry, and messages with the bool ``on`` as only entry.
-"""
+"""Messages whose only entry is the bool ``on``; in `WORDS`, the only entry is the text ``name``."""
 ALONE = ("reset", "end", "seen")
 """Messages without entries."""
 
@@ -44,7 +43,7 @@ class MessageError(ValueError):
 
 
 def parse(text: str) -> tuple[str, Values]:
-    """Parse the JSON text of a message, and return its command and its other entries.
+    """Parse the JSON text of a message, and return its command and a dict of its other entries.
 
     Raises
     ------
@@ -75,10 +74,10 @@ def parse(text: str) -> tuple[str, Values]:
 PAGE = Path(__file__).parent / "page"
 FRAME_S = 1.0 / 30.0
 REST_S = 0.004
-"""Time between two frames, and shortest time per frame for the messages of the page [s].
+"""Shortest time per frame that is left for reading the messages of the page [s].
 
 Messages cannot be read while a picture is drawn. Without this time, the picture would lag behind
-the mouse.
+the mouse. `FRAME_S` is the time between two frames.
 """
 LEFT_S = 8.0
 """Time for which a page may be closed before its session ends [s], long enough for a reload."""

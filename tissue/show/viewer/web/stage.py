@@ -1,4 +1,4 @@
-"""Off-screen view for a page, which rotates it; pictures are JPEG."""
+"""Off-screen view that a page shows as JPEG pictures and can rotate."""
 
 from collections.abc import Callable
 from io import BytesIO

@@ -31,7 +31,7 @@ MOST_ROWS = 2000
 """Largest number of rows of the trace that the page plots: two for each pixel."""
 DEPTH = "removed depth"
 LAYER = "layer"
-"""Names of the colourings of the bone, which are listed together with the names of fields."""
+"""Name of the colouring of the bone by layer; `DEPTH` is the colouring by removed depth."""
 
 
 class ViewPage:
@@ -81,8 +81,8 @@ class ViewPage:
     def hello(self) -> dict[str, Any]:
         """Return the data that a page needs when it is opened.
 
-        They contain the names and colours of the layers, the choices of content, and the force over
-        time.
+        The data contain the names and colours of the layers, the selectable fields and colourings,
+        and the force over time.
         """
         self.stage.changed = self._dirty = True
         return {
@@ -105,7 +105,8 @@ class ViewPage:
     def take(self, do: str, values: Values) -> None:
         """Carry out a message of the page.
 
-        A message goes to a time, plays, chooses the content, rotates the view or ends the session.
+        A message sets the shown time, starts or pauses the playback, selects a field or a
+        colouring, rotates the view or ends the session.
         """
         if self.stage.take(do, values):
             pass
@@ -175,7 +176,7 @@ class ViewPage:
         return np.round(rows, 4).tolist()
 
     def _figures(self) -> dict[str, Any]:
-        """Return the data of the shown time that the page writes."""
+        """Return the values at the shown time that the page displays."""
         figures: dict[str, Any] = {
             "time_s": self.time_s,
             "playing": self._playback.playing,
