@@ -41,7 +41,7 @@ from tissue.fem.space import (
 from tissue.materials.elasticity import elasticity_rows, lame
 
 SOFTENED_RATIO = 1.0
-"""Ratio of the part of the first Lame constant that is not softened to the shear modulus.
+"""Unsoftened part of the first Lame constant, divided by the shear modulus.
 
 The errors refer to a press above the nodule in the scene `palpation`. The excess is the additional
 force caused by the nodule. With mesh edges of 4 mm and a ratio of 1, the error is 2.5 % for the

@@ -51,15 +51,15 @@ TRUSTED = 1.5
 REST = np.array([1.0, 0.0, 0.0, 1.0, 1.0])
 """Components rr, rz, zr, zz and hoop of the identity, the undeformed state."""
 NEWTON_STEPS = 40
-"""Largest number of Newton steps of a solve."""
+"""Largest number of Newton steps for one equilibrium."""
 HALVINGS = 12
-"""Number of halvings of a step, down to 1/4096, before the solve is stopped."""
+"""Number of halvings of a step, down to 1/4096, before the solver gives up."""
 ARMIJO = 1e-4
 """Share of the predicted decrease of the energy that a step must achieve (Armijo 1966)."""
 ROUNDING = 1e-16
 """Rounding error of the energy, relative to the product of volume and largest modulus."""
 SETTLED = 1e-5
-"""Allowed unbalanced force at the end of a solve, divided by the largest nodal force."""
+"""Allowed unbalanced force in an equilibrium, divided by the largest nodal force."""
 SHORTEST = 1.0 / 64.0
 """Smallest fraction of a step of the ball that is tried before the press counts as failed."""
 

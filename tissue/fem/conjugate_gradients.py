@@ -1,4 +1,4 @@
-"""Preconditioned conjugate gradients, and the outcome of a solve."""
+"""Preconditioned conjugate gradients, and the solution with its outcome."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,8 +1,8 @@
 """Tetrahedra under large deformation: energy, nodal forces and tangent stiffness.
 
-These nonlinear laws show where the linear law is not accurate enough. They are too slow for a tick
-of 1 ms. Linear tetrahedra lock if Poisson's ratio is near 0.5. Quadratic tetrahedra with four Gauss
-points do not lock.
+Nonlinear laws show where the linear law is not accurate enough. The nonlinear laws are too slow for
+a tick of 1 ms. Linear tetrahedra lock if Poisson's ratio is near 0.5. Quadratic tetrahedra with
+four Gauss points do not lock.
 """
 
 from enum import Enum

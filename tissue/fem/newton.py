@@ -92,7 +92,7 @@ class RigidSphere:
         return False
 
     def _pressed(self, positions_m: Array) -> tuple[Array, Array, Array]:
-        """Return contact force [N], direction from the centre and distance to it [m] for each node."""
+        """Return force [N], direction from the centre and distance to the centre [m] by node."""
         from_centre = positions_m[self.nodes] - self.centre_m
         # A node at the centre has no direction; the lower bound avoids a division by zero.
         distance = np.maximum(np.linalg.norm(from_centre, axis=1), 1e-3 * self.radius_m)

@@ -1,10 +1,10 @@
 """Equilibrium of a nonlinear body under slowly changing nodal forces, solved by L-BFGS.
 
-Each step needs one evaluation of the internal forces and one solve with a factorised stiffness. The
-first factor belongs to the stiffness at rest. The curvature pairs of the last steps (Liu and
-Nocedal 1989, Math. Program. 45:503) depend on the body and not on the forces. The pairs therefore
-stay valid when the load changes. When an equilibrium needs many steps, the stiffness at the present
-displacement is factorised.
+Each step needs one evaluation of the internal forces, and one back-substitution with a factorised
+stiffness. The first factor belongs to the stiffness at rest. The curvature pairs of the last steps
+(Liu and Nocedal 1989, Math. Program. 45:503) depend on the body and not on the forces. The pairs
+therefore stay valid when the load changes. When an equilibrium needs many steps, the stiffness at
+the present displacement is factorised.
 
 Springs may hold some nodes near prescribed displacements. The springs represent a rigid tool,
 because tissue that is pressed deeply may be stable only in contact with the tool. Under equal

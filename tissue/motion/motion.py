@@ -56,7 +56,7 @@ class Motion(Protocol):
     duration_s: float
     """Duration of the motion [s]."""
     after_s: float = 0.0
-    """Part of `duration_s` that is added because a simulated hand lags behind its target [s]."""
+    """Part of `duration_s` that is added for the delay of a simulated hand [s]."""
     measure_names: tuple[str, ...] = ()
     """Names, with units, of the columns that the motion adds to the trace."""
     measures: Array = np.zeros(0)
@@ -94,7 +94,10 @@ class Motion(Protocol):
         motion.rotation[:] = self.rotations()[0]
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Write the pose at ``time_s`` into ``motion``; ``response`` is that of the previous tick."""
+        """Write the pose at ``time_s`` into ``motion``.
+
+        ``response`` is the response of the tissue in the previous tick.
+        """
         ...
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:

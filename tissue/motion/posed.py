@@ -28,7 +28,7 @@ RESTS = 1e-9
 def pose_in(pose: ArrayLike, rotation: Array) -> tuple[Array, Array]:
     """Return the tip [m], shape (3,), and the rotation, shape (3, 3), of a pose.
 
-    `poses_in` describes the accepted formats of a pose, and `rotation`.
+    See `poses_in` for the accepted formats of a pose, and for the argument `rotation`.
     """
     tips, rotations = poses_in("pose", np.asarray(pose, dtype=np.float64)[None], rotation)
     return tips[0], rotations[0]

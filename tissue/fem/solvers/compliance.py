@@ -295,7 +295,7 @@ class LazyCompliance:
     def _find(self, node: int) -> None:
         """Compute the three columns of one node.
 
-        A solve with a factor releases the interpreter lock, so that other threads can run.
+        A back-substitution releases the interpreter lock, so that other threads can run.
         """
         unknowns = 3 * self._touchable[node] + np.arange(3)
         columns = self._solver.columns(unknowns)[self._rows].reshape(-1, 3, 3).transpose(0, 2, 1)

@@ -109,7 +109,7 @@ class MultigridSolver:
         Raises
         ------
         InputError
-            If a solve does not converge.
+            If the iterations for a column do not converge.
         """
         answers = np.zeros((len(self._scale), len(unknowns)))
         for column, unknown in enumerate(unknowns):

@@ -152,7 +152,7 @@ class BrickStore:
 
     @classmethod
     def from_volume(cls, volume: VoxelVolume, *, device: str) -> "BrickStore":
-        """Store the bricks of ``volume`` that hold bone on ``device``."""
+        """Return a store on ``device`` with the bricks of ``volume`` that contain bone."""
         counts = tuple(-(-n // BRICK) for n in volume.shape)
         grid = BrickGrid(volume.origin_m, volume.spacing_m, counts, volume.layer_names)
         store = cls(grid, device=device)
@@ -235,7 +235,7 @@ class BrickStore:
         return grown
 
     def _append(self, rows: dict[str, NDArray[Any]]) -> bool:
-        """Write rows after the stored rows, and return True if the arrays had to grow.
+        """Append rows to the arrays, and return True if the arrays had to grow.
 
         For the first rows, the arrays get exactly the needed length. Later they grow to twice the
         needed length.
@@ -256,7 +256,7 @@ class BrickStore:
 
     @property
     def read_by_forces(self) -> list[Any]:
-        """Device arrays that the force kernels read, in the order of their arguments."""
+        """Device arrays that the force kernels read, in the order of the kernel arguments."""
         return [self.brick_of, self.material, self.nearby, self.older, self.alive]
 
     def take_touched(self) -> tuple[Ints, NDArray[np.uint16]]:
@@ -290,7 +290,7 @@ class BrickStore:
     def _require_owner(self, owner: object) -> None:
         """Raise an error if another cutter has called `begin` after this cutter.
 
-        The other cutter may have cut the bone.
+        Copied states are then not valid, because the other cutter may have cut the bone.
         """
         if self._owner is not owner:
             raise InputError(
@@ -440,7 +440,7 @@ def _nearest(remaining: NDArray[np.uint16]) -> Bytes:
 
 
 def _filled_up(surface: Bytes, counts: tuple[int, ...]) -> Bytes:
-    """Return the stored surface distance padded to whole bricks.
+    """Return the stored distances to the surface, padded to whole bricks.
 
     A padded voxel has the distance of the nearest voxel of the volume plus the length of one voxel.
     Padded voxels are always outside the bone.

@@ -67,13 +67,13 @@ LONGEST_STEP_VOXELS = 0.5
 OLDER_LAG_M = 2.5e-4
 """Motion of the tool after which its cuts become older cuts [m]; chosen.
 
-Older cuts are all cuts except the most recent cuts, see `kernels.carving`. The stored most recent
-poses of the tool cover a longer motion than this value, see `tissue.models.bone.recent_poses`.
+Older cuts are all cuts except the most recent cuts, see `kernels.carving`. The poses that are
+stored in `RecentPoses` must cover a longer motion than this value.
 """
 TURN = 0.9
 """Cosine of the smallest angle that counts as a change of direction (26 degrees); chosen.
 
-After such a change, some bone in front of the tool may already be cut.
+After such a change, the tool may reach bone that it has already cut.
 """
 WORKERS_CPU = 32
 WORKERS_GPU = 2048

@@ -234,8 +234,6 @@ class EngagedBone(MilledTissue):
     A unit load is the load on the tool from a force of 1 N per metre of cutting edge. The unit
     loads determine the cutting force for any cutting law.
 
-    A unit load is the load on the tool from 1 N per metre of cutting edge.
-
     Parameters
     ----------
     bone

@@ -11,10 +11,10 @@ from tissue.cutters.cutter import Cutter
 from tissue.models.tissue_model import TICK_S, StopsReporting, ToolMotion
 
 MOST_POINTS = 1000
-"""Largest number of points on the tool that are searched in the tissue outside the region.
+"""Largest number of points on the tool that are tested for tissue outside the region.
 
-Without this limit a ball burr has 805 points. A drill of 30 mm has 7593 points; a search of all
-these points takes 20 ms in the vertebra scene.
+Without this limit a ball burr has 805 points. A drill of 30 mm has 7593 points; a test of all these
+points takes 20 ms in the vertebra scene.
 """
 
 

@@ -26,7 +26,7 @@ INTERVAL_TICKS = 20
 """Number of ticks in an interval of the heat computation.
 
 The peak temperature rise of the pulp in the molar scene is 0.617, 0.609 and 0.607 K for 5, 20 and
-40 ticks. Once in each interval, the cutting elements that are in contact are searched.
+40 ticks. The cutting elements in contact are determined once in each interval.
 """
 RECEIVES = 0.5
 """Smallest filled fraction at which a cell at the cut surface receives heat.
@@ -133,10 +133,9 @@ class CuttingHeat:
 
     @property
     def balance_J(self) -> dict[str, float]:
-        """Energy of cutting [J], and the parts into which it is divided.
+        """Energy of cutting, and the three energies into which it is divided [J].
 
-        The three parts are the energy in chips and spray, in removed material, and in the remaining
-        tissue.
+        The three energies are in chips and spray, in removed material, and in the remaining tissue.
         """
         return {
             "cutting": self.cutting_J,

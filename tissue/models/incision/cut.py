@@ -101,7 +101,10 @@ class Cut:
         self.friction_J = 0.0
 
     def coordinates_m(self, tip_m: Array) -> tuple[float, float, float]:
-        """Return s and l of a point, and the distance of the point from the cut plane [m]."""
+        """Return coordinates s and l of a point, and its distance from the cut plane [m].
+
+        The coordinate s runs along the surface, and l along the blade's axis into the tissue.
+        """
         arm = tip_m - self.origin_m
         depth = -float(arm @ self.up) / self._cosine
         return float(arm @ self.along) + depth * self._sine, depth, float(arm @ self.across)
@@ -142,7 +145,7 @@ class Cut:
         self.pull_N = -stiffness * (across - moved_across), -stiffness * (out - moved_out)
 
     def profile_m(self) -> tuple[Array, Array]:
-        """Return coordinates s of the middles of the cut columns, and their mean depths [m]."""
+        """Return position along the surface and mean depth of each column of the cut [m]."""
         columns = np.arange(len(self._cut), dtype=np.float64)
         middles = self._spacing_m * (self._first + 0.5 + columns)
         cut = self._cut > 0.0

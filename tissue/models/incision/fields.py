@@ -44,8 +44,8 @@ LARGEST_RATIO = 0.45
 NEAR_M = 0.01
 """Largest distance between a cut and the planned cut at which the cut is drawn [m].
 
-A simulated hand may miss the planned cut. Its cut is drawn at the position of the planned cut. The
-value is assumed.
+A simulated hand may miss the planned cut. Within this distance, its cut is drawn at the position of
+the planned cut. The value is assumed.
 """
 
 

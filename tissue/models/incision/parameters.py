@@ -100,7 +100,7 @@ def punch_stiffness_N_m(blade: Blade, *, young_Pa: float, poisson_ratio: float) 
 
 
 def secant_stiffness_N_m(force_N: float, *, constants: Materials) -> float:
-    """Return the secant stiffness [N/m] at a given force of the liver in the needle model.
+    """Return the secant stiffness of the needle model's liver at a given force [N/m].
 
     The stiffness is not computed from the small-strain modulus of liver. With this modulus, a half
     space under a blade would deflect by centimetres, several times as much as the liver under the

@@ -82,11 +82,10 @@ def compliance_of(
     basis_size: int,
     report: Progress,
 ) -> tuple[Array, LazyCompliance | None]:
-    """Return the compliance of the touchable nodes [m/N] and the object that fills it.
+    """Return the compliance of t touchable nodes [m/N], and an object for missing entries.
 
-    The compliance of the t nodes has shape (3t, 3t). The second result is None if the compliance is
-    complete. Otherwise missing entries are NaN, and the second result fills them while the tool
-    moves.
+    The compliance has shape (3t, 3t). The second result is None if the compliance is complete.
+    Otherwise missing entries are NaN, and the second result fills them while the tool moves.
     """
     if path == "condensed":
         found = surface_compliance_m_N(

@@ -273,7 +273,7 @@ class SurfaceContact:
         displacement. On a slab under a sphere the error of the force is 1 % with 1e-3 and 0.2 %
         with 1e-4.
     sweeps
-        Largest number of Gauss-Seidel sweeps in a solve.
+        Largest number of Gauss-Seidel sweeps in one call of `solve`.
     spacing_m
         Largest distance between contact points on the organ [m]; default: the tool's `spacing_m`.
     device, cores

@@ -377,11 +377,11 @@ class LawOffset:
         """Build springs that hold the loaded nodes near their positions in the last tick.
 
         The springs have the compliance of the contact. Let w be the stiffness of the contact, k the
-        stiffness of the tissue and s the stiffness of the springs. Each solve multiplies the error
-        of the contact force by a factor. The factor is (k - w) / (k + s) if the tool prescribes the
-        displacement, and s (k - w) / (w (k + s)) if the tool prescribes the force. With s = w the
-        two factors are equal: (k - w) / (k + w). The magnitude of this factor is below 1 for any
-        tissue.
+        stiffness of the tissue and s the stiffness of the springs. Each computed equilibrium
+        multiplies the error of the contact force by a factor. The factor is (k - w) / (k + s) if
+        the tool prescribes the displacement, and s (k - w) / (w (k + s)) if the tool prescribes the
+        force. With s = w the two factors are equal: (k - w) / (k + w). The magnitude of this factor
+        is below 1 for any tissue.
         """
         window = self.windows.now
         inside_N = np.zeros_like(crept_N)

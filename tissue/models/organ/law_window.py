@@ -164,12 +164,13 @@ class LawWindows:
     def choose(self, nodal_forces_N: Array, crept_N: Array) -> bool:
         """Use the window nearest to the contact from now on; return True if the window changed.
 
+        A new window starts from the displacement of the last window. Nodes outside the last window
+        start from the displacement by the linear law.
+
         Parameters
         ----------
         nodal_forces_N, crept_N
             Contact forces, and crept forces (contact forces after creep) [N], each of shape (t, 3).
-            The new window starts from the displacement of the last window. Nodes outside the last
-            window start from the displacement by the linear law.
         """
         size_N = np.linalg.norm(nodal_forces_N, axis=1)
         if len(self._windows) == 1 or not size_N.any():

@@ -90,7 +90,7 @@ class StressField:
     Attributes
     ----------
     series
-        Mesh of the tooth, and the solved frames.
+        Mesh of the tooth, with displacement and stress at all solved times.
     compliance
         Compliance of the tooth in its ligament.
     records
@@ -239,7 +239,7 @@ class StressField:
         return self.body.spread_over(point_m, force_N, radius_m=self._contact_m)
 
     def recover(self, displacement_m: Array) -> tuple[Array, Array]:
-        """Return the recovered von Mises and principal stresses at the cell centres [Pa].
+        """Return the averaged von Mises stress and principal stresses at the cell centres [Pa].
 
         The shapes are (c,) for the von Mises stress and (c, 3) for the principal stresses, with c
         cells.

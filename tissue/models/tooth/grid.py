@@ -171,7 +171,7 @@ class HexGrid:
         return self.find_cells(place.astype(np.int64)), scaled - place
 
     def coarse(self) -> tuple["HexGrid", Int32s]:
-        """Return a grid with twice the edge, and the cell of that grid that holds each cell.
+        """Return a grid with twice the edge, and the coarse cell that holds each cell of this grid.
 
         The indices of the coarse cells are int32, shape (c,).
         """

@@ -77,7 +77,7 @@ REACH_M = 0.6e-3
 """Radius of the ball over which stress is averaged [m].
 
 The value is about the radius of a bur. The force of the bur is spread over a similar radius. Next
-to a cut, the error of the recovered stress is 6 % with cells of 0.3 mm, and decreases with smaller
+to a cut, the error of the averaged stress is 6 % with cells of 0.3 mm, and decreases with smaller
 cells.
 """
 CELLS_A_REACH = 2.0
@@ -238,7 +238,7 @@ def support_compliance(
     reference_m
         Reference point of torque and rotation [m], shape (3,).
     tolerance
-        Allowed relative error of each solve in the energy norm.
+        Allowed relative error of each of the six solutions in the energy norm.
     """
     used = np.where(body.carrying, weights, 0.0)
     motions = rigid_modes(body.grid.node_position_m, reference_m)

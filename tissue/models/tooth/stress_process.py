@@ -115,7 +115,7 @@ class InlineStressSolver:
         self._begun = state
 
     def wait(self) -> SolveRecord | None:
-        """Update the particles from the remaining voxels, and solve for the stress.
+        """Update the particles from the drilled voxels, and solve for the stress.
 
         Return None if `begin` was not called.
         """
