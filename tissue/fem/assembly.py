@@ -1,7 +1,7 @@
-"""Assembled stiffness and loads of tetrahedra, and of a capsule on their surface.
+"""Assembled stiffness and loads of tetrahedra, and stiffness of a capsule on the surface.
 
-The stiffness of tetrahedra is stored in 3x3 blocks. The block of a pair of nodes is summed once,
-and its transpose is copied to the mirrored position.
+The stiffness of tetrahedra is stored in 3x3 blocks. For each pair of nodes one block is summed. Its
+transpose is copied to the mirrored position.
 
 A capsule is a thin elastic membrane on the surface, in plane stress.
 
@@ -14,9 +14,9 @@ pair of nodes is ``t (lambda' S + mu S^T + mu tr(S) P)``, with the thickness t a
 `kernels.tetrahedra`.
 
 Prefer linear cells under a stiff capsule on a curved body. Quadratic cells with straight edges have
-nodes in the middle of flat pieces of membrane. These pieces carry no pressure, so the corners are
-displaced inwards too far. The error of the displacement of the corners is 8 % if capsule and body
-are equally stiff, with 7 cells per quadrant. The error of the mean displacement is 2 %.
+nodes in the middle of flat pieces of membrane. Flat pieces carry no pressure, so the corners are
+displaced inwards too far. With 7 cells per quadrant, and a capsule as stiff as the body, the
+displacement of the corners has an error of 8 %. The mean displacement has an error of 2 %.
 """
 
 from functools import cache
@@ -41,22 +41,22 @@ from tissue.fem.space import (
 from tissue.materials.elasticity import elasticity_rows, lame
 
 SOFTENED_RATIO = 1.0
-"""Part of the first Lame constant that is not softened, divided by the shear modulus.
+"""Unsoftened part of the first Lame constant, divided by the shear modulus.
 
-The errors are measured above the nodule in the scene `palpation`. The excess is the additional
-force caused by the nodule. With edges of 4 mm and a ratio of 1, the error is 2.5 % for the excess
-and -0.1 % for the force. With a ratio of 2, the errors are 3.5 % and +0.4 %. Without softening and
-with edges of 5 mm, the errors are 10 % and 3.6 %: `python tests/bench/bench_nodule.py --parts
-meshes`. With a ratio of 0 and edges of 5 mm, the displacement under Hertz's pressure is up to 5 %
-too large.
+The errors refer to a press above the nodule in the scene `palpation`. The excess is the additional
+force caused by the nodule. With mesh edges of 4 mm and a ratio of 1, the error is 2.5 % for the
+excess and -0.1 % for the force. With a ratio of 2, the errors are 3.5 % and +0.4 %. Without
+softening and with mesh edges of 5 mm, the errors are 10 % and 3.6 % (`python
+tests/bench/bench_nodule.py --parts meshes`). With a ratio of 0 and mesh edges of 5 mm, the
+displacement under Hertz's pressure is up to 5 % too large.
 """
 
 
 def assemble(space: Space, elasticity: ArrayLike, *, softened: bool = False) -> bsr_array:
     """Return the stiffness matrix [N/m] of linear elastic cells, in blocks of 3x3.
 
-    The shape is (unknowns, unknowns). The upper and the lower triangle are stored and are bitwise
-    equal, on any number of cores. Integrals are exact.
+    The shape is (unknowns, unknowns). The matrix contains both triangles, which are bitwise equal
+    for any number of cores. The integrals over the cells are exact.
 
     Quadratic cells with straight edges lock if Poisson's ratio is near 0.5. Softened cells do not
     lock. In these cells, the part of the first Lame constant above `SOFTENED_RATIO` times the shear
@@ -72,12 +72,12 @@ def assemble(space: Space, elasticity: ArrayLike, *, softened: bool = False) -> 
         Lame constants [Pa], shape (2,) or (m, 2), or stiffness matrices [Pa], shape (6, 6) or (m,
         6, 6), as returned by `tissue.materials.elasticity`.
     softened
-        True to soften quadratic cells of nearly incompressible tissue.
+        True to soften quadratic cells with a Poisson's ratio near 0.5, which would lock.
 
     Raises
     ------
     InputError
-        If the elasticity has another shape or is not positive definite.
+        If the elasticity has a wrong shape or is not positive definite.
     """
     rows = elasticity_rows(elasticity, space.cell_count)
     pattern = space.pattern
@@ -98,9 +98,9 @@ def assemble(space: Space, elasticity: ArrayLike, *, softened: bool = False) -> 
 def _softening(rows: Array) -> Array:
     """Return the part of the first Lame constant [Pa] that resists only a mean volume change.
 
-    The result has one value for each row, shape (rows,). For stiffness matrices C, the bulk modulus
-    under a uniform stress, 1 / (1 C^-1 1), and the largest shear modulus are used in place of the
-    Lame constants. The softened matrices are still positive definite.
+    The result has one value for each row, shape (rows,). For a stiffness matrix C, the Lame
+    constants are derived from the bulk modulus under a uniform stress, 1 / (1 C^-1 1), and the
+    largest shear modulus. The softened matrices are still positive definite.
     """
     if rows.ndim == 2:
         return np.maximum(rows[:, 0] - SOFTENED_RATIO * rows[:, 1], 0.0)
@@ -116,8 +116,8 @@ def pair_tables(order: int) -> tuple[Int32s, Array, Array]:
 
     Shape function A has the corners i and j, shape function B the corners k and n. The weights
     multiply the products ik, in, jk and jn of the gradients of the barycentric coordinates. With
-    the first array of weights, the sum is the mean of the product of the gradients of A and B. With
-    the second array, it is the product of their means.
+    the first array of weights, the weighted sum is the mean of the product of the gradients of A
+    and B. With the second array, it is the product of the means of the two gradients.
     """
     products = gradient_products(4, order)
     # The four functions of the corners come first, then the functions of the edges of a quadratic
@@ -150,10 +150,10 @@ def capsule_stiffness(
 ) -> bsr_array:
     """Return the stiffness matrix [N/m] of a membrane on faces of the surface.
 
-    Add it to the stiffness matrix of the cells.
+    Add the result to the stiffness matrix of the cells.
 
-    The shape is (unknowns, unknowns), in blocks of 3x3. The matrix is bitwise equal to its
-    transpose. This also holds for its sum with the matrix of the cells.
+    The shape is (unknowns, unknowns), in blocks of 3x3. The matrix is bitwise symmetric. The sum of
+    this matrix and the matrix of the cells is bitwise symmetric, too.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def capsule_stiffness(
 
 
 def _summed(shares: Array, pattern: Pattern, unknown_count: int) -> bsr_array:
-    """Return the matrix of the blocks, which are summed in the order of the faces and mirrored."""
+    """Return the matrix of blocks that are summed in the order of the faces and then mirrored."""
     turned = pattern.contribution < 0
     ordered = shares[np.where(turned, ~pattern.contribution, pattern.contribution)]
     ordered[turned] = ordered[turned].swapaxes(1, 2)
@@ -240,7 +240,7 @@ def traction(space: Space, traction_Pa: ArrayLike, *, faces: Ints | None = None)
 
 
 def _spread(space: Space, nodes: Ints, force: Array, share: Array) -> Array:
-    """Distribute row forces, shape (r, 3), to the nodes with shares, shape (k,), and sum them."""
+    """Distribute the force of each row, shape (r, 3), to its k nodes, and sum the nodal forces."""
     each = (force[:, None, :] * share[:, None]).reshape(-1, 3)
     rows = nodes.ravel()
     return np.stack(

@@ -3,15 +3,15 @@
 The layer is bonded to its base. Its cells are quadrilaterals of nine nodes with nine Gauss points.
 At a radius r the deformation gradient has the in-plane part ``I + grad u`` and the hoop stretch ``1
 + u_r / r``. Energy, force and tangent are computed from the derivatives of the law with respect to
-the logarithms of the principal stretches. A Newton step is solved with the tangent and is halved
-until the energy decreases.
+the logarithms of the principal stretches. Newton's method computes each step from the tangent, and
+halves the step until the energy decreases.
 
-Contact is evaluated at Gauss points of the top face. Let g be the depth of such a point inside the
-ball, p a multiplier and k a penalty. An augmented Lagrangian adds the energy ``(max(0, p + k g)^2 -
-p^2) / 2 k`` per area (Simo and Laursen 1992, Comput. Struct. 42:97).
+Contact is evaluated at Gauss points of the top face. Let g be the depth of a Gauss point inside the
+ball, p a multiplier and k a penalty. The method of augmented Lagrangians adds the energy ``(max(0,
+p + k g)^2 - p^2) / 2 k`` per area (Simo and Laursen 1992, Comput. Struct. 42:97).
 
-The solver has about 3,000 unknowns, compared with 30,000 for tetrahedra. A fit can therefore
-compute many laws.
+The solver has about 3,000 unknowns, compared with 30,000 for tetrahedra. A fit of material
+constants can therefore evaluate many laws.
 """
 
 from dataclasses import dataclass
@@ -25,43 +25,43 @@ from meshes.base.errors import InputError
 from tissue.materials.hyperelasticity import Hyperelastic
 
 WIDTH = 4.0
-"""Smallest radius of the layer, divided by the sum of its thickness and the ball's radius.
+"""Smallest radius of the layer, divided by the sum of layer thickness and ball radius.
 
-With 3, the force at a depth of 0.75 radii changes by less than 0.1 % (for a thickness of 1 to 5
-radii).
+With 3 instead of 4, the force at a depth of 0.75 ball radii changes by less than 0.1 %, for a
+thickness of 1 to 5 ball radii.
 """
 FIRST = 0.12
 """Edge of a cell on the axis at the surface, divided by the ball's radius.
 
-With 0.045 the forces at depths of 0.1 to 0.75 radii change by at most 0.3 %, and with 0.18 by 1.3
-%: `tests/verification/test_axisymmetric.py`.
+With 0.045 instead of 0.12, the forces at depths of 0.1 to 0.75 ball radii change by at most 0.3 %.
+With 0.18 they change by 1.3 %: `tests/verification/test_axisymmetric.py`.
 """
 GROWTH = 1.22
 """Ratio of the lengths of neighbouring cells outside the contact."""
 CONTACT = 0.9
 """Radius within which the surface cells have equal length, divided by the ball's radius."""
 PENALTY = 100.0
-"""Contact stiffness per area, divided by the ratio of shear modulus to surface cell length."""
+"""Contact stiffness per area, relative to shear modulus divided by surface cell length."""
 CORRECTIONS = 30
-"""Largest number of corrections of the contact pressures."""
+"""Largest number of corrections of the contact multipliers."""
 TOLERANCE = 1e-4
 """Largest depth of a point in contact inside the ball, divided by the ball's radius."""
 TRUSTED = 1.5
-"""Upper limit of the ratio of pressure to multiplier in the tangent of the contact."""
+"""Upper limit of a contact pressure in the tangent, divided by the present multiplier."""
 REST = np.array([1.0, 0.0, 0.0, 1.0, 1.0])
 """Components rr, rz, zr, zz and hoop of the identity, the undeformed state."""
 NEWTON_STEPS = 40
-"""Largest number of Newton steps of a solve."""
+"""Largest number of Newton steps for one equilibrium."""
 HALVINGS = 12
-"""Number of halvings of a step, down to 1/4096, before the solve is stopped."""
+"""Number of halvings of a step, down to 1/4096, before the solver gives up."""
 ARMIJO = 1e-4
 """Share of the predicted decrease of the energy that a step must achieve (Armijo 1966)."""
 ROUNDING = 1e-16
-"""Rounding error of the energy, divided by the volume times the largest modulus."""
+"""Rounding error of the energy, relative to the product of volume and largest modulus."""
 SETTLED = 1e-5
-"""Allowed unbalanced force at the end of a solve, divided by the largest nodal force."""
+"""Allowed unbalanced force in an equilibrium, divided by the largest nodal force."""
 SHORTEST = 1.0 / 64.0
-"""Smallest part of a step of the ball that is tried before the press counts as failed."""
+"""Smallest fraction of a step of the ball that is tried before the press counts as failed."""
 
 
 @dataclass(frozen=True)
@@ -81,11 +81,11 @@ class LayerMesh:
     nodes_m
         Radius and height of the nodes [m], shape (n, 2). The top face lies at height zero.
     cells
-        Nodes of the cells in rows of three from the bottom, shape (m, 9).
+        Nodes of the cells, shape (m, 9), in rows of three, starting with the lowest row.
     top
         Nodes of the top face in rising radius, shape (t,).
     held
-        True for components without displacement, shape (n, 2).
+        True for displacement components that are held at zero, shape (n, 2).
     radius_m
         Radius of the ball for which the mesh was made [m].
     """
@@ -125,9 +125,10 @@ def layer_mesh(radius_m: float, thickness_m: float, *, first: float = FIRST) -> 
 
 
 def layer_grid(r: Array, z: Array, radius_m: float) -> LayerMesh:
-    """Return the mesh with cell edges at r and z [m], held at the base and radially at the axis.
+    """Return the mesh with cell boundaries at the radii `r` and the heights `z` [m].
 
-    `r` and `z` are in rising order. `radius_m` is the radius of the ball.
+    `r` and `z` are in rising order. The nodes at the base are held, and the nodes on the axis are
+    held radially. `radius_m` is the radius of the ball [m].
     """
     columns = 2 * len(r) - 1
     rows = 2 * len(z) - 1
@@ -144,7 +145,7 @@ def layer_grid(r: Array, z: Array, radius_m: float) -> LayerMesh:
 
 
 def _graded(count: int, edge: float, end: float) -> Array:
-    """Return rising positions from zero to the end: equal steps, then growing steps."""
+    """Return rising positions from zero to `end`: first `count` equal steps, then growing steps."""
     steps = [edge] * count
     while sum(steps) < end:
         steps.append(GROWTH * steps[-1])
@@ -159,7 +160,7 @@ def _graded(count: int, edge: float, end: float) -> Array:
 
 
 def press_forces(mesh: LayerMesh, law: Hyperelastic | LinearLaw, depths_m: Array) -> Array:
-    """Compute the force [N] of a ball on a layer at rising depths, same shape as `depths_m`.
+    """Compute the force of a ball on a layer [N] at rising depths, with the shape of `depths_m`.
 
     At the first depth without an equilibrium, and at all larger depths, the forces are NaN.
 
@@ -168,7 +169,7 @@ def press_forces(mesh: LayerMesh, law: Hyperelastic | LinearLaw, depths_m: Array
     mesh
         The layer; see `layer_mesh`.
     law
-        Law of the layer.
+        Elastic law of the layer.
     depths_m
         Depth of the lowest point of the ball below the undeformed surface [m], rising.
     """
@@ -246,7 +247,10 @@ class _Layer:
         self.force_N = 0.0
 
     def advance(self, depth_m: float) -> bool:
-        """Move the ball to a depth [m]; without an equilibrium, keep the state and return False."""
+        """Move the ball to a depth [m]; return True if there is an equilibrium.
+
+        Without an equilibrium, the state does not change.
+        """
         before = self._u.copy(), self._pressure.copy(), self._centre
         self._centre = self._mesh.radius_m - depth_m
         for _ in range(CORRECTIONS):
@@ -264,7 +268,7 @@ class _Layer:
         return False
 
     def _contact(self, u: Array) -> tuple[Array, Array, Array]:
-        """Return pressure, gap and outward normal of the ball at the contact points."""
+        """Return contact pressure, gap, and outward normal of the ball, at the contact points."""
         place = np.einsum("qa,eac->eqc", self._share, (self._mesh.nodes_m + u)[self._edges])
         away = place - [0.0, self._centre]
         distance = np.linalg.norm(away, axis=-1)
@@ -279,7 +283,7 @@ class _Layer:
         return float(np.sum(self._volume * energy) + extra)
 
     def _state(self, u: Array, *, order: int) -> tuple[Array, Array, Array]:
-        """Return energy density, stress and tangent at the Gauss points."""
+        """Return energy density, stress and tangent of the law at the Gauss points."""
         flat = u.ravel()[self._places]
         moved = np.einsum("mqsk,mk->mqs", self._slots, flat)
         if isinstance(self._law, LinearLaw):

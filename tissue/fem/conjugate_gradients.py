@@ -1,4 +1,4 @@
-"""Preconditioned conjugate gradients, and the outcome of a solve."""
+"""Preconditioned conjugate gradients, and the solution with its outcome."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,7 +11,7 @@ from meshes.base.arrays import Array
 
 
 class SolverOutcome(Enum):
-    """Outcome of a solve. The value describes the cause and the remedy."""
+    """Outcome of a solution. The value describes the cause of a failure and how to fix it."""
 
     CONVERGED = "the displacement has converged within the tolerance"
     NOT_CONVERGED = (
@@ -33,7 +33,7 @@ class SolverOutcome(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Displacement and the outcome of its solve.
+    """Displacement that a solver has computed, and outcome of the solver.
 
     Attributes
     ----------
@@ -41,13 +41,13 @@ class Solution:
         Nodal displacements [m], shape (n, 3). If the outcome is not CONVERGED, this is the last
         iterate.
     outcome
-        Outcome of the solve.
+        Convergence, or the cause of a failure.
     iterations
         Number of iterations; 0 for a direct solver.
     residual
         Norm of ``f - K u`` over the free components, divided by the norm of f.
     error
-        Estimated error of an iterative solve in the energy norm, divided by the energy norm of the
+        Estimated error of an iterative solver in the energy norm, divided by the energy norm of the
         displacement.
     """
 
@@ -59,7 +59,7 @@ class Solution:
 
     @property
     def converged(self) -> bool:
-        """True if the solve converged, so that the displacement may be used."""
+        """True if the solver converged, so that the displacement may be used."""
         return self.outcome is SolverOutcome.CONVERGED
 
 
@@ -69,7 +69,7 @@ LEAST_SHARE = 1e-13
 
 @dataclass(eq=False)
 class Iterate:
-    """State of the iterations.
+    """State of the conjugate gradient iterations.
 
     Attributes
     ----------
@@ -81,9 +81,9 @@ class Iterate:
         Scalar products ``r . B r`` of the present and all earlier residuals r, with the
         preconditioner B.
     factors
-        Factor with which the previous direction entered the direction of each step so far.
+        Factors of the previous direction in the directions of all steps so far.
     lengths
-        Step lengths along the directions so far.
+        Step lengths of all steps so far.
     """
 
     found: Array
@@ -107,16 +107,16 @@ def conjugate_gradients(
 ) -> Solution:
     """Solve ``K u = f`` for a symmetric positive definite K, on arrays of any shape.
 
-    The factor with which the last direction enters the next direction follows Polak and Ribiere.
-    This factor allows a preconditioner that is slightly unsymmetric, or in single precision (Golub
-    and Ye 1999, SIAM J. Sci. Comput. 21:1305).
+    The factor of the last direction in the next direction is computed with the formula of Polak and
+    Ribiere. The formula allows a preconditioner that is slightly unsymmetric, or in single
+    precision (Golub and Ye 1999, SIAM J. Sci. Comput. 21:1305).
 
     Parameters
     ----------
     product
         Function that multiplies displacements by K.
     load
-        Forces; zero at held components.
+        Right-hand side f (forces), zero at held components.
     precondition
         Function that multiplies forces by B, an approximate inverse of K.
     error
@@ -125,13 +125,13 @@ def conjugate_gradients(
     limit
         Largest number of iterations.
     start
-        First guess; default: zero.
+        Displacement at the start of the iterations; default: zero.
     least_curvature
-        Function that returns a limit for a direction p. If ``p . K p`` is not above the limit, K
+        Function that returns a limit of ``p . K p`` for a direction p. At or below the limit, K
         counts as not positive definite.
     correct_last
-        True to add the correction for the last residual, which is already computed, to the
-        converged solution. The correction reduces the error if no eigenvalue of ``B K`` is above 2.
+        True to add ``B r`` to the converged solution, with the last residual r. This product is
+        known without further work. It reduces the error if no eigenvalue of ``B K`` is above 2.
     """
     norm = np.sqrt(dot(load, load))
     if norm == 0.0:

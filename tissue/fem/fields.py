@@ -20,7 +20,7 @@ class Frame:
     Attributes
     ----------
     time_s
-        Time of the state that the fields belong to [s].
+        Time of the fields [s].
     points
         Values at the nodes, shape (nodes,) or (nodes, 3), keyed by a name with unit.
     cells
@@ -35,7 +35,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class FieldSeries:
-    """Mesh, and frames computed on this mesh so far.
+    """Mesh, and fields on this mesh at several times (frames).
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class FieldSeries:
     layer_names
         Names of the layers.
     frames
-        Frames in the order of time.
+        Frames computed so far, in the order of time.
     node_sets
         Indices of nodes, keyed by role: ``held`` or ``touchable``.
     """
@@ -94,7 +94,7 @@ def cell_stress(space: Space, displacement_m: Array, elasticity: ArrayLike) -> S
     displacement_m
         Displacement of each node [m], shape (n, 3).
     elasticity
-        Elasticity of the cells, see `tissue.fem.assembly.assemble`.
+        Elastic constants of the cells, see `tissue.fem.assembly.assemble`.
 
     Raises
     ------
@@ -114,10 +114,10 @@ def group_stress(
     member: Int32s,
     places: Array,
 ) -> StressState:
-    """Return the mean stress of groups of points in cells, weighted by the volumes of the cells.
+    """Return the mean stress of groups of points, weighted by the volumes of the cells.
 
-    The parameters are described in `kernels.tetrahedra.group_stress`, and the errors in
-    `cell_stress`.
+    See `kernels.tetrahedra.group_stress` for the parameters, and `cell_stress` for the raised
+    errors.
     """
     rows = elasticity_rows(elasticity, space.cell_count)
     # Rows of two numbers are the Lamé constants of isotropic cells; other rows are whole matrices.

@@ -1,8 +1,8 @@
 """Tetrahedra under large deformation: energy, nodal forces and tangent stiffness.
 
-The nonlinear laws show where the linear law is not accurate enough. They are too slow for a tick of
-1 ms. Linear tetrahedra lock if Poisson's ratio is near 0.5. Quadratic tetrahedra with four Gauss
-points do not lock.
+Nonlinear laws show where the linear law is not accurate enough. The nonlinear laws are too slow for
+a tick of 1 ms. Linear tetrahedra lock if Poisson's ratio is near 0.5. Quadratic tetrahedra with
+four Gauss points do not lock.
 """
 
 from enum import Enum
@@ -24,7 +24,7 @@ from tissue.materials.hyperelasticity import Hyperelastic
 
 
 class Law(Enum):
-    """Elastic laws with the same small-strain limit; the value describes the range of validity."""
+    """Elastic laws with one small-strain limit. The value of a law is its range of validity."""
 
     LINEAR = "small strain and small rotation"
     COROTATIONAL = (
@@ -47,8 +47,8 @@ class NonlinearBody:
     law
         Elastic law.
     cell_factors
-        Factor by which the moduli of a hyperelastic law are multiplied in each cell, shape (m,);
-        None for a factor of 1.
+        Factors of the moduli of a hyperelastic law, one for each cell, shape (m,); None for a
+        factor of 1.
     membrane
         Stiffness of a linear membrane on the surface [N/m], shape (3n, 3n), as returned by
         `tissue.fem.assembly.capsule_stiffness`; None for no membrane.
@@ -56,7 +56,7 @@ class NonlinearBody:
     Raises
     ------
     InputError
-        If the constants have another shape or do not describe a stable material.
+        If the constants have a wrong shape, or do not describe a stable material.
     """
 
     def __init__(
@@ -187,8 +187,8 @@ def _constants(
 ) -> tuple[int | Array, ...]:
     """Return the arguments of the law's kernels.
 
-    The arguments are the law's number and the Lame constants. For a hyperelastic law they are
-    moduli, terms, powers and exponentials.
+    For a `Law`, the arguments are its number and the Lame constants. For a hyperelastic law, they
+    are moduli, terms, powers and exponentials.
     """
     if isinstance(law, Hyperelastic):
         each = np.ones(count) if factors is None else factors

@@ -1,18 +1,18 @@
 """Static equilibrium of a nonlinear body by Newton's method, with an optional rigid sphere.
 
-The direction of a Newton step is solved with the tangent by conjugate gradients. The preconditioner
-is one factorisation of the stiffness at rest. The iterations stop at a direction of negative
-curvature (Steihaug 1983, SIAM J. Numer. Anal. 20:626), so that the resulting direction always
-lowers the energy. The step is halved until the energy decreases. Near the minimum, where
-differences of the energy are rounding errors, the slope along the step must fall to half instead. A
-step that inverts a cell has infinite energy and is never used. The multipliers of a sphere are
-corrected between Newton solves.
+Conjugate gradients compute the direction of a Newton step from the tangent. The preconditioner is a
+factorisation of the stiffness at rest. The iterations stop at a direction of negative curvature
+(Steihaug 1983, SIAM J. Numer. Anal. 20:626), so that the resulting direction always lowers the
+energy. The step is halved until the energy decreases. Near the minimum, differences of the energy
+are rounding errors. There the slope along the step must fall to half instead. A step that inverts a
+cell has infinite energy and is never used. The contact multipliers of a sphere are corrected
+between two runs of Newton's method.
 
-The sphere is rigid and without friction. Its contact is an augmented Lagrangian on the surface
-nodes (Simo and Laursen 1992, Comput. Struct. 42:97). Let g be the depth of a node inside the
-sphere, k a penalty and p a multiplier [N]. The energy is ``sum (max(0, p + k g)^2 - p^2) / 2 k``.
-After each equilibrium ``p <- max(0, p + k g)``. In the end g <= 0 at nodes with p = 0, and g = 0 at
-nodes with p > 0, for any penalty.
+The sphere is rigid and without friction. Contact is evaluated at the surface nodes, with an
+augmented Lagrangian (Simo and Laursen 1992, Comput. Struct. 42:97). Let g be the depth of a node
+inside the sphere, k a penalty and p a multiplier [N]. The energy is ``sum (max(0, p + k g)^2 - p^2)
+/ 2 k``. After each equilibrium ``p <- max(0, p + k g)``. In the end g <= 0 at nodes with p = 0, and
+g = 0 at nodes with p > 0, for any penalty.
 """
 
 from dataclasses import dataclass
@@ -29,22 +29,22 @@ from tissue.fem.solvers.held_body import HeldBody
 
 
 class RigidSphere:
-    """Rigid sphere in contact with the nodes of a surface.
+    """Rigid sphere that may be in contact with the nodes of a surface.
 
     Parameters
     ----------
     nodes
         Nodes that may touch the sphere, shape (s,).
     penalty_N_m
-        Penalty of each node [N/m], shape (s,). Ten times the node's own stiffness is a suitable
-        value.
+        Contact penalty of each node [N/m], shape (s,). Ten times the stiffness of the node is a
+        suitable value.
     radius_m
         Radius [m].
     centre_m
         Centre [m], shape (3,).
     tolerance
-        Allowed final distance between the surface of the sphere and a node that lies inside the
-        sphere or carries a contact force, divided by the radius.
+        Allowed final distance of a node in contact from the surface of the sphere, divided by the
+        radius. A node is in contact if it lies inside the sphere or carries a contact force.
     """
 
     def __init__(
@@ -101,25 +101,28 @@ class RigidSphere:
 
 
 HALVINGS = 30
-"""Number of halvings of a step, to 1e-9 of its length, after which the solve has stalled."""
+"""Number of halvings of a step, to 1e-9 of its length, after which the solver has stalled."""
 ARMIJO = 1e-4
 """Share of the predicted decrease of the energy that a step must achieve (Armijo 1966)."""
 ROUNDING = 1e-12
-"""Relative rounding error of an energy: a sum over 1e5 cells of 1e-16 each, with a margin."""
+"""Relative rounding error of an energy: 1e-16 for each of 1e5 cells, with a margin."""
 POSITIONS = 4e-13
-"""Rounding error of nodal forces, divided by stiffness times size of the body."""
+"""Rounding error of nodal forces, relative to stiffness times size of the body."""
 CORRECTIONS = 60
-"""Largest number of corrections of a sphere's multipliers.
+"""Largest number of corrections of the contact multipliers of a sphere.
 
 Each correction reduces the penetration to a tenth or less.
 """
 LINEAR_LIMIT = 500
-"""Largest number of iterations for a direction. An unconverged direction also lowers the energy."""
+"""Largest number of iterations for a direction.
+
+A direction without convergence also lowers the energy.
+"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class NewtonSolution(Solution):
-    """Displacement, outcome and forces of a solve by Newton's method.
+    """Displacement, forces and outcome of a solution by Newton's method.
 
     The residual is the largest unbalanced force, divided by the largest internal force or contact
     force.
@@ -138,7 +141,7 @@ class NewtonSolution(Solution):
 
 
 class NewtonSolver:
-    """Solver for equilibria of a body with held components.
+    """Solver for equilibria of a body with prescribed displacements.
 
     Parameters
     ----------
@@ -149,12 +152,12 @@ class NewtonSolver:
     tolerance
         Allowed residual force, divided by the largest force in the body.
     step_limit
-        Largest number of Newton steps in a solve.
+        Largest number of Newton steps for one equilibrium.
 
     Raises
     ------
     InputError
-        If the held components do not prevent every rigid motion of every part.
+        If the held components do not prevent every rigid motion of every connected part.
     """
 
     def __init__(
@@ -187,10 +190,11 @@ class NewtonSolver:
         sphere: RigidSphere | None = None,
         start_m: Array | None = None,
     ) -> NewtonSolution:
-        """Solve for the equilibrium with held components at ``held_m`` [m], shape (n, 3).
+        """Solve for the equilibrium under prescribed displacements ``held_m`` [m], shape (n, 3).
 
-        The solve starts from ``start_m`` [m]. ``held_m`` and ``start_m`` are zero by default. The
-        multipliers of a sphere are corrected until the contact conditions are satisfied.
+        The iterations start from the displacement ``start_m`` [m], shape (n, 3). ``held_m`` and
+        ``start_m`` are zero by default. The multipliers of a sphere are corrected until the contact
+        conditions are satisfied.
         """
         now = np.zeros(self.held.shape) if start_m is None else np.array(start_m, np.float64)
         goal = np.zeros(self.held.shape) if held_m is None else held_m
@@ -215,10 +219,10 @@ class NewtonSolver:
         return NewtonSolution(now, outcome, steps, residual, force_N=force, tool_force_N=push)
 
     def _moved_on(self, start: Array, move: Array) -> Array:
-        """Return the start displacement after a motion of the held components.
+        """Return the first displacement of the iterations after a motion of held components.
 
-        The free components follow to first order. If this motion inverts a cell, only the held
-        components move.
+        The free components follow the held components to first order. If this motion inverts a
+        cell, only the held components move.
         """
         tangent = self.body.stiffness(start)
         # The tolerance of 1e-3 is far below the error of this first-order guess.
@@ -320,7 +324,7 @@ class NewtonSolver:
 
 
 STIFFER = 10.0
-"""Ratio of the penalty of a surface node to the node's own stiffness."""
+"""Contact penalty of a surface node, divided by the stiffness of the node."""
 NODES = 1e-5
 """Largest allowed distance between a node in contact and the sphere, divided by the radius."""
 LONGEST = 0.3
@@ -335,7 +339,7 @@ def press_at(
     radius_m: float,
     tolerance: float = NODES,
 ) -> tuple[NewtonSolution, RigidSphere, float]:
-    """Solve for the equilibrium with a rigid sphere that moves in a straight line.
+    """Solve for the equilibrium of a body under a rigid sphere that moves in a straight line.
 
     The body is at rest at the start.
 
@@ -349,7 +353,7 @@ def press_at(
     radius_m
         Radius of the sphere [m].
     tolerance
-        Allowed depth of a node in the sphere, divided by the radius.
+        Allowed depth of a node inside the sphere, divided by the radius.
 
     Returns
     -------
@@ -378,10 +382,10 @@ def press_at(
 def resting_sphere(
     solver: NewtonSolver, point_m: Array, direction: Array, radius_m: float, tolerance: float
 ) -> tuple[RigidSphere, float]:
-    """Return a sphere that moves towards a point [m], at its first touch of a node.
+    """Return a sphere at its first touch of a node on the way towards a point [m].
 
-    The second value is the distance from the point to the sphere's centre, measured along the
-    direction of motion [m]; negative in front of the point.
+    The second value is the position of the sphere's centre relative to the point [m], measured
+    along the direction of motion. It is negative in front of the point.
     """
     body = solver.body
     surface = np.unique(body.space.faces)

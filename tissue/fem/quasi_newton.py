@@ -1,14 +1,15 @@
 """Equilibrium of a nonlinear body under slowly changing nodal forces, solved by L-BFGS.
 
-Each step needs one evaluation of the internal forces and one solve with a factorised stiffness. The
-first factor belongs to the stiffness at rest. The curvature pairs of the last steps (Liu and
-Nocedal 1989, Math. Program. 45:503) depend on the body and not on the forces. They therefore stay
-valid when the load changes. When a solve needs many steps, the stiffness at the present
-displacement is factorised.
+Each step needs one evaluation of the internal forces, and one back-substitution with a factorised
+stiffness. The first factor belongs to the stiffness at rest. The curvature pairs of the last steps
+(Liu and Nocedal 1989, Math. Program. 45:503) depend on the body and not on the forces. The pairs
+therefore stay valid when the load changes. When an equilibrium needs many steps, the stiffness at
+the present displacement is factorised.
 
-Springs may hold some nodes near prescribed displacements. They represent a rigid tool, because
-tissue that is pressed deeply may be stable only with the tool. Under the same forces without the
-tool, the tangent of the tissue is indefinite and there is no equilibrium nearby.
+Springs may hold some nodes near prescribed displacements. The springs represent a rigid tool,
+because tissue that is pressed deeply may be stable only in contact with the tool. Under equal
+forces but without the tool, the tangent of the tissue is indefinite, and there is no equilibrium
+nearby.
 """
 
 from collections import deque
@@ -26,9 +27,9 @@ from tissue.fem.solvers.held_body import components_of
 from tissue.fem.solvers.multifrontal import NotPositiveDefiniteError
 
 MEMORY = 12
-"""Number of steps whose curvature pairs are kept."""
+"""Number of last steps whose curvature pairs are stored."""
 HALVINGS = 12
-"""Number of halvings of a step, down to 1/4096, before its direction is discarded."""
+"""Number of halvings of a step, down to 1/4096, before the direction of the step is discarded."""
 ARMIJO = 1e-4
 """Share of the predicted decrease of the energy that a step must achieve (Armijo 1966)."""
 ROUNDING = 1e-12
@@ -37,17 +38,17 @@ SMALL = 1e-3
 """Smallest reference force of the residual, relative to the largest load so far.
 
 The residual is the largest unbalanced force divided by a reference force, usually the largest force
-of the load. If this is smaller than `SMALL` times the largest load so far, the reference is larger
-than the load. Such a small load need not be balanced.
+of the load. The reference force is at least `SMALL` times the largest load so far. A smaller load
+is therefore not balanced exactly.
 """
 MANY = 8
-"""Number of steps after which the stiffness at the present displacement is factorised anew."""
+"""Number of steps for one equilibrium after which the present stiffness is factorised."""
 SMALLEST_PART = 1.0 / 16.0
-"""Smallest fraction of a change of load that is tried; then the last equilibrium is kept."""
+"""Smallest fraction of a load change that is tried before the last equilibrium is kept."""
 
 
 class Body(Protocol):
-    """Body with an elastic energy, its derivative and its tangent; see `NonlinearBody`."""
+    """Interface of a body with an elastic energy, such as `NonlinearBody`."""
 
     def energy_and_force(self, displacement_m: Array) -> tuple[float, Array]:
         """Return the energy [J] and its derivative [N], shape (n, 3)."""
@@ -60,15 +61,14 @@ class Body(Protocol):
 class Springs:
     """Coupled springs that hold nodes of a body near given positions.
 
-    The energy is ``|root u - rest|^2 / 2``, with u all components of the displacement.
+    The energy is ``|root u - rest|^2 / 2``, with the vector u of all displacement components.
 
     Attributes
     ----------
     root
         Square root of the stiffness [(N/m)^0.5], shape (p, 3n).
     rest
-        Product of the root and the displacement at which the springs are at rest [J^0.5], shape
-        (p,).
+        Product of `root` and the displacement at which the springs are at rest [J^0.5], shape (p,).
     """
 
     root: csr_array
@@ -83,7 +83,7 @@ class Springs:
     def holding(
         cls, nodes: Ints, compliance_m_N: Array, target_m: Array, *, unknowns: int
     ) -> "Springs":
-        """Return springs that hold nodes near given positions, with a given compliance.
+        """Return springs with a given compliance that hold nodes near given positions.
 
         The root of the springs' stiffness is the inverse of the Cholesky factor of the compliance.
 
@@ -96,7 +96,7 @@ class Springs:
         target_m
             Displacements of the nodes at which the springs are at rest [m], shape (k, 3).
         unknowns
-            Number of components of the body.
+            Number of displacement components of the body.
         """
         columns = components_of(nodes)
         order = np.argsort(columns)
@@ -108,13 +108,13 @@ class Springs:
         return cls(root, solve_triangular(lower, target_m.ravel(), lower=True))
 
     def at(self, share: float, start_m: Array) -> "Springs":
-        """Return springs whose targets lie between a start displacement and the present targets.
+        """Return springs with targets between a start displacement and the present targets.
 
         Parameters
         ----------
         share
-            Position between the targets at the start (0) and the present targets (1). With 0 the
-            springs have no force at the start.
+            Position of the targets between the start displacement (0) and the present targets (1).
+            With 0, the springs exert no force at the start displacement.
         start_m
             Displacement of the nodes at the start [m], shape (n, 3).
         """
@@ -129,13 +129,13 @@ class Springs:
         return 0.5 * float(stretch @ stretch), -(self.root.T @ stretch).reshape(-1, 3)
 
     def product(self, change_m: Array) -> Array:
-        """Compute the change of the restoring forces [N], shape (n, 3), for `change_m`."""
+        """Compute the change of the restoring forces [N], shape (n, 3), from a displacement [m]."""
         return (self.root.T @ (self.root @ change_m.ravel())).reshape(-1, 3)
 
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """Equilibrium, or the closest approach to an equilibrium.
+    """Equilibrium, or the closest state to an equilibrium that was found.
 
     Attributes
     ----------
@@ -145,13 +145,13 @@ class Followed:
         Sum of the load and the forces of the springs [N], shape (n, 3).
     residual
         Largest unbalanced force, divided by a reference force. The reference is the largest force
-        in the load and in the internal forces at the start, or `SMALL` times the largest such force
-        so far if this is larger.
+        of the load or of the internal forces at the start. It is at least `SMALL` times the largest
+        reference so far.
     steps
         Number of steps.
     reached
-        Fraction, 0 to 1, of the change of load and springs that was applied. If this fraction is
-        less than 1, the displacement is the equilibrium for this fraction of the change.
+        Fraction, 0 to 1, of the change of load and springs that was applied. If it is less than 1,
+        the displacement is the equilibrium under this part of the change.
     """
 
     displacement_m: Array
@@ -176,7 +176,7 @@ class _Tangent:
     """Cholesky factor of the stiffness of a body at a displacement [m].
 
     If `is_definite` is true, the eigenvalues of the stiffness were made positive before the
-    factorisation. A pickled tangent has no factor. The factor is computed again at the first use.
+    factorisation. Pickling omits the factor, which is computed again at its first use.
     """
 
     displacement_m: Array
@@ -197,22 +197,22 @@ class QuasiNewton:
     fixed
         True for components with zero displacement, shape (n, 3).
     at_rest
-        Factor of the stiffness at rest. In this factor and in later factors, nodes with springs
-        must be eliminated last.
+        Factor of the stiffness at rest. The factorisation, and `factorise`, must eliminate the
+        nodes with springs last.
     factorise
-        Function that factorises another stiffness [N/m]. It raises `NotPositiveDefiniteError` if
-        the stiffness has no Cholesky factor.
+        Function that factorises a stiffness [N/m]. It raises `NotPositiveDefiniteError` if the
+        stiffness has no Cholesky factor.
 
     Attributes
     ----------
     factor
-        Factor in use. It belongs to the stiffness at rest or at a later displacement.
+        Factor in use: of the stiffness at rest, or of the stiffness at a later displacement.
     indefinite
         Number of tangents so far that were not positive definite.
     """
 
     RECORD = ("_largest_N", "indefinite")
-    """Attributes that `restart` keeps."""
+    """Names of the attributes that `restart` does not change."""
 
     def __init__(
         self,
@@ -283,9 +283,9 @@ class QuasiNewton:
         return Followed(last.displacement_m, last.internal_N, acting, residual, steps, reached)
 
     def restart(self, displacement_m: Array) -> None:
-        """Start the next solve from a displacement [m], shape (n, 3).
+        """Set the displacement [m], shape (n, 3), from which the next call of `follow` starts.
 
-        If the displacement inverts a cell, the next solve starts from zero displacement.
+        If the displacement inverts a cell, the next call starts from zero displacement.
         """
         self._last = self._state_at(displacement_m)
         if not np.isfinite(self._last.energy_J):
@@ -302,7 +302,7 @@ class QuasiNewton:
         return {"last": self._last, "memory": list(self._memory), "tangent": self._tangent}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore an earlier state of this solver or of an equal solver."""
+        """Restore a state that `state` of this solver or of an equal solver has returned."""
         tangent: _Tangent | None = state["tangent"]
         factor = self.at_rest
         if tangent is not None:
@@ -322,7 +322,7 @@ class QuasiNewton:
         return self._last.displacement_m
 
     def _reach(self, load_N: Array, allowed_N: float, limit: int) -> int:
-        """Take steps towards the equilibrium under a load and return their number."""
+        """Take steps towards the equilibrium under a load, and return the number of steps."""
         steps = 0
         left = self._left(load_N)[1]
         while np.abs(left).max() > allowed_N and steps < limit:
@@ -347,7 +347,7 @@ class QuasiNewton:
         return acting, np.where(self._fixed, 0.0, acting - self._last.internal_N)
 
     def _advance(self, step: Array, load_N: Array, slope: float) -> bool:
-        """Take a step, shortened until the energy decreases.
+        """Take a step; halve its length until the energy decreases.
 
         Return False if no length of the step decreases the energy.
         """
@@ -410,7 +410,7 @@ class QuasiNewton:
             self._pair(change, force)
 
     def _pair(self, change: Array, force: Array) -> None:
-        """Store a change of displacement and of the body's force as a curvature pair.
+        """Store a change of displacement and the resulting change of force as a curvature pair.
 
         The pair is stored only if the curvature of body and springs together is positive along the
         change.
@@ -430,7 +430,7 @@ class QuasiNewton:
         return self._held.displacement_m(forces_N)
 
     def _inverse(self, left_N: Array) -> Array:
-        """Apply the inverse of the present stiffness to forces (two loops of Nocedal 1980)."""
+        """Apply the approximate inverse stiffness to forces (two-loop recursion, Nocedal 1980)."""
         forces = left_N.copy()
         shares = []
         for change, force, inverse in reversed(self._pairs):

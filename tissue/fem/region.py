@@ -1,6 +1,6 @@
-"""Body with a nonlinear region; all other cells are linear.
+"""Body with a hyperelastic region; all other cells are linear.
 
-Cells of the region follow a hyperelastic law. The other cells are linear, so that they can be
+Cells of the region follow a hyperelastic law. The other cells are linear, so their unknowns are
 eliminated once (static condensation, Guyan 1965, AIAA J. 3:380). The border between region and
 other cells is restricted to a few displacement modes, ``u_b = P q`` (reduced interface coordinates,
 Craig and Chang 1976, NASA CP-2001, 2:393). With the displacement u of the region's inner nodes::
@@ -9,10 +9,10 @@ Craig and Chang 1976, NASA CP-2001, 2:393). With the displacement u of the regio
 
 S is the stiffness of the other cells and of the supports, condensed onto the border. The modes are
 the principal displacements of the border under random forces on inner nodes of the linear body
-(randomised range, Halko, Martinsson and Tropp 2011, SIAM Rev. 53:217). These modes span the
-displacements of the border of a linear body. The energy is exact if the other cells are linear and
-the modes span the displacement of the border. A membrane on the surface is linear everywhere. Its
-faces on the region's cells belong to the first term, and its other faces belong to S.
+(randomised range, Halko, Martinsson and Tropp 2011, SIAM Rev. 53:217). These modes span the border
+displacements of a linear body. The energy is exact if the other cells behave linearly and the modes
+span the border displacement. A membrane on the surface is linear everywhere. Membrane faces on the
+region's cells contribute to the first term, and other membrane faces contribute to S.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,7 +37,7 @@ tests/bench/bench_law_region.py --modes 24 48 96`).
 LOADS = 80
 """Number of random loads from which the modes are computed: `MODES` plus 32."""
 SMALLEST = 1e-6
-"""Singular value, relative to the largest, below which a mode is a rounding error."""
+"""Singular value, relative to the largest value, below which a mode is a rounding error."""
 SEED = 0
 """Seed of the random loads."""
 
@@ -46,7 +46,7 @@ class RegionBody:
     """Body with a hyperelastic region whose other cells are linear.
 
     The unknowns are the displacements of the inner nodes, and the amplitudes of the border modes.
-    Three amplitudes are stored like the displacement of one further node.
+    Three amplitudes are stored in one row, like the displacement of a node.
 
     Parameters
     ----------
@@ -55,17 +55,17 @@ class RegionBody:
     rest
         Factor of the stiffness of the body at rest, with its supports.
     cells
-        Numbers of the cells of the region.
+        Indices of the cells of the region.
     loaded
         Sets of nodes of the body near a contact, each of shape (l,): the nodes on which forces may
         act, and the nodes where the law may differ from the linear law. Each set gets an equal
-        number of the random loads from which the modes are computed. Nodes on the border are left
-        out, because forces on them would need many modes.
+        number of the random loads from which the modes are computed. Nodes on the border get no
+        load, because such loads would need many modes.
     law, cell_factors
-        Law, and factor on the moduli of the law in each cell of the body, shape (m,).
+        Hyperelastic law, and factor of its moduli in each cell of the body, shape (m,).
     membrane
         Function that returns the stiffness [N/m] of a membrane on given faces of a space; None for
-        no membrane. The stiffness at rest contains the membrane on the whole surface.
+        no membrane. The stiffness in `rest` must include the membrane on the whole surface.
 
     Attributes
     ----------
@@ -73,11 +73,10 @@ class RegionBody:
         Inner nodes of the region, shape (n,), and all nodes of the region, shape (r,), numbered as
         in the body.
     body, cells
-        Nonlinear body of the region alone, and numbers of its cells in the whole body.
+        Body of the region alone, and indices of its cells in the whole body.
     nodes_m, fixed
-        Positions [m], and mask of components with zero displacement, each of shape (n + p, 3). The
-        last p rows belong to the modes, of which each row represents three. The positions of these
-        rows are not used.
+        Positions [m], and mask of components with zero displacement, each of shape (n + p, 3). Each
+        of the last p rows represents three modes. The positions in these rows are not used.
     """
 
     def __init__(
@@ -121,7 +120,10 @@ class RegionBody:
         self._assembly = _Assembly(part.pattern, self._inner, self._border, extra)
 
     def _reduced(self, rest: DirectSolver, loaded: Sequence[Ints]) -> tuple[Array, Array]:
-        """Return modes, shape (3b, 3p), and the other cells' stiffness in them, shape (3p, 3p)."""
+        """Return the border modes, shape (3b, 3p), and a stiffness in these modes, shape (3p, 3p).
+
+        The stiffness is that of all cells outside the region, condensed onto the border.
+        """
         if not len(self._border):
             return np.zeros((0, 0)), np.zeros((0, 0))
         random = np.random.default_rng(SEED)
@@ -147,7 +149,7 @@ class RegionBody:
         return np.ascontiguousarray(modes), 0.5 * (outside + outside.T)
 
     def gathered(self, nodal_m: Array) -> Array:
-        """Return the unknowns [m], shape (n + p, 3), that best fit displacements of the body."""
+        """Return the unknowns [m], shape (n + p, 3), that best fit given nodal displacements."""
         border = nodal_m[self.all_nodes[self._border]].ravel()
         return np.vstack([nodal_m[self.nodes], (self._modes.T @ border).reshape(-1, 3)])
 
@@ -160,9 +162,9 @@ class RegionBody:
         return moved
 
     def linear_difference_N(self, unknowns_m: Array) -> Array:
-        """Return linear forces minus the forces of the law on `all_nodes` [N], shape (r, 3).
+        """Return forces of the linear law minus forces of `law` on `all_nodes` [N], shape (r, 3).
 
-        Under this additional load, a linear body has the displacement of this body.
+        A linear body under this additional load has the displacement of this body.
         """
         moved = self.nodal_m(unknowns_m)
         linear = self.body.stiffness(np.zeros_like(moved)) @ moved.ravel()
@@ -186,14 +188,14 @@ class RegionBody:
 
 
 class _Assembly:
-    """Positions of the blocks of a tangent in which modes replace the border.
+    """Block positions of a tangent matrix in which modes replace the nodes on the border.
 
     Parameters
     ----------
     pattern
         Block pattern of the tangent for all nodes of the region.
     inner, border
-        Numbers of the inner nodes and of the nodes on the border, in rising order.
+        Indices of the inner nodes and of the nodes on the border, in rising order.
     extra
         Number of modes divided by three.
     """

@@ -11,12 +11,12 @@ with 1 = sum l_i. For the middle of edge ij it is ``4 (l_i g_j + l_j g_i)``. Pro
 exactly with ``mean(l_i l_j) = (1 + delta_ij) / ((d + 1) (d + 2))`` in d dimensions, so no
 quadrature is needed.
 
-The block pattern contains the positions of the 3x3 blocks of an assembled matrix, and the cells
+The block pattern contains the positions of the 3x3 blocks in an assembled matrix, and the cells
 that contribute to each block.
 
 Pairs of nodes are grouped by two stable counting sorts, whose time is linear in the number of
-pairs. SciPy's conversion of one compressed row into columns is such a sort. Each pair is summed
-once, with the lower node first. The mirrored block is copied and not summed.
+pairs. SciPy's conversion of a compressed row to columns is such a sort. The block of each pair is
+summed once, with the lower node first. The mirrored block is copied.
 """
 
 from dataclasses import dataclass
@@ -35,24 +35,24 @@ from meshes.tets.tetrahedra import TetMesh
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Block pattern of a symmetric matrix over nodes; the two triangles are stored by rows.
+    """Block pattern of a symmetric matrix over nodes. Both triangles are stored by rows.
 
     Attributes
     ----------
     row_start
-        First block of each node's row, shape (n + 1,).
+        Index of the first block in the row of each node, shape (n + 1,).
     column
-        Node of each block's column, rising within a row, shape (b,).
+        Column (node) of each block, shape (b,), rising within a row.
     pair_start
-        Position of the first contribution to each pair of nodes, shape (p + 1,).
+        Index in `contribution` of the first contribution to each pair of nodes, shape (p + 1,).
     contribution
         Number of each contribution, shape (c,): cell index times number of pairs in a cell, plus
         index of the pair in the cell. The contributions to a pair are in the order of cells. If the
         pair is reversed in its cell, the bitwise complement is stored.
     place
-        For each pair, index of the block whose row is the lower node of the pair, shape (p,).
+        Index of the block of each pair, shape (p,). Its row is the lower node of the pair.
     mirror
-        For each pair, index of the transposed block, shape (p,); equal to `place` on the diagonal.
+        Index of the transposed block of each pair, shape (p,); equal to `place` on the diagonal.
     """
 
     row_start: Int32s
@@ -102,7 +102,7 @@ class Pattern:
 
 
 def local_pairs(nodes_a_cell: int) -> Ints:
-    """Return the pairs a <= b of the nodes of a cell, row by row, shape (k (k + 1) / 2, 2)."""
+    """Return the pairs a <= b of the k nodes of a cell, row by row, shape (k (k + 1) / 2, 2)."""
     return np.stack(np.triu_indices(nodes_a_cell), axis=1)
 
 
@@ -129,7 +129,7 @@ def _sorted_by(key: Int32s, order: Int32s, count: int) -> Int32s:
 
 
 EDGES = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
-"""Corners of the edges of a tetrahedron, in VTK's order of the nodes in the middles of edges."""
+"""Corners of each edge of a tetrahedron, in VTK's order of the edges."""
 
 TRIANGLE_EDGES = EDGES[:3]
 """Corners of each edge of a triangle."""
@@ -151,7 +151,7 @@ def gauss_points(order: int) -> Array:
 def gradient_slopes(corners: int, order: int) -> Array:
     """Return the coefficients ``slope`` of the gradients, shape (nodes, corners, corners).
 
-    The axes are the shape function, the index c of g_c and the index i of l_i.
+    The axes are: shape function A, index c of the gradient g_c, and index i of the coordinate l_i.
     """
     edges = _edges(corners, order)
     slope = np.zeros((corners + len(edges), corners, corners))
@@ -167,7 +167,8 @@ def gradient_slopes(corners: int, order: int) -> Array:
 def gradient_products(corners: int, order: int) -> Array:
     """Return means of gradient products, shape (nodes, nodes, corners, corners).
 
-    The means are taken over the simplex. Entry [A, B, c, d] multiplies g_c g_d^T.
+    The means are taken over the simplex. Entry [A, B, c, d] is the factor of g_c g_d^T, with the
+    gradients g of the barycentric coordinates.
     """
     slope = gradient_slopes(corners, order)
     mean = (1.0 + np.eye(corners)) / (corners * (corners + 1))
@@ -175,7 +176,7 @@ def gradient_products(corners: int, order: int) -> Array:
 
 
 def mean_gradient_products(corners: int, order: int) -> Array:
-    """Return products of mean gradients, same shape as the result of `gradient_products`."""
+    """Return products of mean gradients, shape (nodes, nodes, corners, corners)."""
     slope = gradient_slopes(corners, order).mean(axis=2)
     return np.einsum("ac,bd->abcd", slope, slope)
 

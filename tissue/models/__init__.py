@@ -1,1 +1,1 @@
-"""Tissue models with one interface: bone, tooth, organ, layers under a needle, virtual wall."""
+"""Tissue models with one interface: bone, tooth, organ, tissue under a needle, virtual wall."""

@@ -26,15 +26,15 @@ from tissue.models.tissue_model import TICK_S, ToolMotion
 Distance = Callable[[Array], Floats]
 """Function from points [m], shape (n, 3), to signed distances [m], shape (n,), negative inside."""
 DEVICE = "cpu"
-"""Device of the search: one thread on the CPU, whatever the device of the tissue is."""
+"""Device of the distance search: the CPU, with one thread, for every device of the tissue."""
 
 APART_M = float(TOLERANCE_M)
-"""Largest error of the distance from the triangles if tool and structure are apart [m]."""
+"""Largest error of the distance between tool and triangles if they do not overlap [m]."""
 OVERLAP_M = 1e-5
-"""Largest error of the distance from the triangles in an overlap [m].
+"""Largest error of the distance between tool and triangles if they overlap [m].
 
 The tolerances of the kernel and of the tool's medial axis add up to less than this value.
-`tests/tissue/models/test_clearance.py` checks it.
+`tests/tissue/models/test_clearance.py` checks this limit.
 """
 
 
@@ -86,12 +86,12 @@ class KeepClear:
     profile
         The tool's half section.
     structures
-        Surfaces of the structures, as a dictionary by name.
+        Dictionary that maps the name of each structure to its surface.
     distances
-        Functions that return the signed distance from a structure at any point, by name; for
-        pictures.
+        Dictionary that maps the name of a structure to a function. The function returns the signed
+        distance of points from the structure, and is used only for pictures.
     points_m
-        Points of the tool's body in the tool's frame [m], shape (n, 3), for pictures.
+        Points of the tool's body in the tool's frame [m], shape (n, 3), used only for pictures.
     box_m
         Lowest and highest corner of the box that the tool can reach [m], shape (2, 3); None if the
         box is not known.
@@ -105,14 +105,14 @@ class KeepClear:
     points_m, distances
         Values of the parameters with these names.
     names
-        Names of the columns in a trace: ``distance_NAME_mm``, negative inside.
+        Names of the trace columns: ``distance_NAME_mm`` for the structure with the name NAME.
     measures
-        Distances in the last tick [mm], shape (structures,). A value is never larger than the true
-        distance. The error is at most the slack of the structure plus 0.001 mm if tool and
-        structure are apart, and at most the slack plus 0.01 mm if they overlap. The error is
-        larger if tens of thousands of triangles are equally near.
+        Distances in the last tick [mm], shape (structures,), negative in an overlap. A value is
+        never larger than the true distance. The error is at most the slack of the structure plus
+        0.001 mm if tool and structure are apart, and at most the slack plus 0.01 mm if they
+        overlap. The error is larger if tens of thousands of triangles have the same distance.
     notices
-        Events, one sentence each. The loop removes an event when it logs the event.
+        Events, one sentence each. The simulation loop logs an event and then removes it.
     """
 
     def __init__(
@@ -141,10 +141,10 @@ class KeepClear:
         self._structures = [_Search(outline, medial, each, box_m) for each in structures.values()]
 
     def measure(self, tool: ToolMotion, *, placed: bool = False) -> None:
-        """Measure the distances at a tool's pose.
+        """Measure the distances from all structures at a pose of the tool.
 
-        Set `placed` for the pose before the first tick, which counts neither as a tick nor as a
-        breach.
+        Set `placed` to True for the pose before the first tick. This pose counts neither as a tick
+        nor as a breach.
         """
         for number, search in enumerate(self._structures):
             distance_m = search(tool)
@@ -154,11 +154,11 @@ class KeepClear:
         self._tick += 0 if placed else 1
 
     def state(self) -> State:
-        """Copy the state that later ticks depend on."""
+        """Return a copy of the state on which later ticks depend."""
         return copied(self, ("measures", "_breaches", "_tick"))
 
     def restore(self, state: State) -> None:
-        """Return to a copied state."""
+        """Restore a state that `state` has returned."""
         put_back(self, state)
 
     @property
@@ -169,7 +169,7 @@ class KeepClear:
         return float(self._times_s[min(self._tick, len(self._times_s) - 1)])
 
     def _follow(self, breach: _Breach, distance_m: float) -> None:
-        """Update the record of a structure, and report the entry and the exit of the tool."""
+        """Update the record of a structure, and report the start and the end of an overlap."""
         breach.least_m = min(breach.least_m, distance_m)
         is_too_close = self._margin_m > 0.0 and distance_m < self._margin_m
         if is_too_close and breach.first_below_s is None:
@@ -197,22 +197,23 @@ class KeepClear:
         breach.began_s = None
 
     def stop_reporting(self) -> None:
-        """Close all breaches, and stop the records of smallest distances and breaches."""
+        """End all breaches, and record no further breaches or smallest distances."""
         self.finish()
         self._follows = False
 
     def finish(self) -> None:
-        """Close the breaches that last to the end of the run."""
+        """Record the end of the breaches that last until the end of the run."""
         for breach in self._breaches:
             if breach.began_s is not None:
                 self._leave(breach, "still in")
 
     def summary(self) -> dict[str, dict[str, float | None]]:
-        """Return the smallest distance and the breaches of each structure, as a dictionary by name.
+        """Return a dictionary with the smallest distance and the breaches of each structure.
 
-        The values of a structure are the smallest distance [mm], the largest depth [mm] and total
-        duration [s] of the breaches, and the time of the first breach [s]. With a margin, they also
-        are the margin [mm] and the first time at which the distance was smaller [s].
+        The keys are the names of the structures. The values of a structure are the smallest
+        distance [mm], the largest depth [mm] and total duration [s] of the breaches, and the time
+        of the first breach [s]. If a margin is set, the values include the margin [mm] and the
+        first time at which the distance was below the margin [s].
         """
         found = dict[str, dict[str, float | None]]()
         for breach in self._breaches:
@@ -233,7 +234,7 @@ class KeepClear:
 
 
 class _Search:
-    """Search for the distance between a tool and one structure, with the memory of the search."""
+    """Search for the distance between a tool and one structure, with its device arrays."""
 
     def __init__(
         self, outline: Any, medial: Any, structure: Structure, box_m: Array | None

@@ -19,7 +19,7 @@ State = dict[str, Any]
 def copied(owner: object, names: Iterable[str]) -> State:
     """Return copies of some attributes of an object.
 
-    Attributes that refer to the same object refer to one copy of this object in the result.
+    If two attributes refer to one object, their copies in the result also refer to one object.
     """
     return deepcopy({name: getattr(owner, name) for name in names})
 
@@ -56,12 +56,12 @@ def require_shapes(present: Mapping[str, Any], kept: Mapping[str, Any]) -> None:
 
 
 def fingerprint(*parts: object) -> str:
-    """Return a short text that is equal for equal parts, also in another process.
+    """Return a short text that is equal for equal arguments, even in another process.
 
-    Parts are numbers, texts, arrays, tables of a scene, dataclasses, and collections of these.
-    Numbers of different types, such as 1 and 1.0, are treated as equal if their values are equal.
-    For an absolute path, the content of the file or folder is used. Of any other object, only the
-    name of the class is used.
+    The arguments may be numbers, texts, arrays, tables of a scene, dataclasses, and collections of
+    such objects. Numbers of different types, such as 1 and 1.0, are treated as equal if their
+    values are equal. For an absolute path, the content of the file or folder is used. For any other
+    object, only the name of the class is used.
     """
     digest = blake2b(digest_size=16)
     for known in _plain(parts):
@@ -72,7 +72,7 @@ def fingerprint(*parts: object) -> str:
 
 
 def _plain(part: object) -> Iterator[bytes]:
-    """Yield the contents of a part as bytes."""
+    """Yield the content of an argument of `fingerprint` as bytes."""
     if isinstance(part, BaseModel):
         part = {name: getattr(part, name) for name in type(part).model_fields}
     elif is_dataclass(part) and not isinstance(part, type):

@@ -14,7 +14,7 @@ from tissue.models.state import State
 TICK_S = 1e-3
 """Length of a tick [s]."""
 SLOW = "longer than its interval"
-"""Text in the notice about a background solve that took too long.
+"""Text in every notice that a background computation took too long.
 
 The cause of such a notice is a slow computer, not the tissue.
 """
@@ -40,11 +40,11 @@ class ToolMotion:
     tangent_m_s
         Speed at which the tissue linearises its force [m/s]; None means `speed_m_s`.
     pressed
-        Fraction of the edge force that acts on a tool at rest against the bone, from 0 (no
-        pressure) to 1 (about to cut).
+        Edge force that the bone exerts on a resting tool, as a fraction of the full edge force: 0
+        without pressure, 1 if the tool is about to cut.
     balanced
-        Force [N] and torque about the tip [N m] that the bone applies to a tool at its force
-        balance, shape (6,). None for a tool whose motion does not depend on forces.
+        Force [N] and torque about the tip [N m] of the bone on the tool, shape (6,), from the force
+        balance of the tool. None for a tool whose motion does not depend on forces.
     """
 
     tip_m: Array = field(default_factory=lambda: np.zeros(3))
@@ -60,7 +60,8 @@ class ToolMotion:
 class Response:
     """Response of a tissue to a tool, reused from tick to tick.
 
-    All forces act on the tool. Torques are about its tip. The components are in the world frame.
+    All forces act on the tool, and all torques are about the tool's tip. The components are in the
+    world frame.
 
     Attributes
     ----------
@@ -73,7 +74,7 @@ class Response:
     wrench
         Force [N] and torque [N m] of the linearised response at the motion's speed, shape (6,).
     removal_rate_m3_s
-        Rate at which the cutting elements of the tool sweep filled volume [m3/s].
+        Volume of material that the cutting elements of the tool sweep per time [m3/s].
     engaged_m2
         Area of the tool in contact with each layer of the tissue [m2], shape (layers,).
     measures
@@ -82,11 +83,11 @@ class Response:
         Stiffness at the position of a resting tool, -dF/dx [N/m], shape (3, 3). None if the tissue
         does not provide it.
     gap_m, normal
-        Distance of a free tool from the tissue's surface [m], infinite if the tissue does not
-        provide it. Unit normal out of the surface, shape (3,).
+        Distance from the surface to a tool that does not touch the tissue [m], and unit normal out
+        of the surface, shape (3,). The distance is infinite if the tissue does not provide it.
     surface_N_m
-        Stiffness of the surface below a free tool, along the normal [N/m]; infinite if it is not
-        known.
+        Stiffness along the normal [N/m] of the surface near a tool that does not touch the tissue;
+        infinite if it is not known.
     """
 
     resistance: Array
@@ -115,11 +116,11 @@ class Response:
 class TissueModel(Protocol):
     """Tissue that a tool moves through: the interface of every model.
 
-    The protocols below add members that only some models have.
+    Other protocols of this module, such as `HasState`, describe members that only some models have.
 
     `place` puts the tool at its first pose. In every tick `advance` removes the tissue that the
     tool reaches at its new pose, and then `respond` returns the force at that pose. `advance` and
-    `respond` allocate no device memory. If a thrust force pushes a cutter, `respond` is called
+    `respond` allocate no device memory. For a tool that is pushed by a force, `respond` is called
     first, at trial poses. `advance` is then called once, at the pose where the forces balance.
     `respond` must therefore not change the state.
     """
@@ -159,7 +160,7 @@ class SchedulesBackground(Protocol):
 
     @property
     def scheduling(self) -> str:
-        """Description of the background work, with priority and cores; empty if there is none."""
+        """Description of the background work, with priority and cores; otherwise an empty text."""
         ...
 
 
@@ -168,7 +169,7 @@ class HasNotices(Protocol):
     """Tissue that reports events."""
 
     notices: list[str]
-    """Events, one sentence each. The loop removes an event when it logs the event."""
+    """Events, one sentence each. The simulation loop logs an event and then removes it."""
 
 
 @runtime_checkable
@@ -184,11 +185,11 @@ class HasState(Protocol):
     """Tissue whose state can be copied, sent to another process and restored."""
 
     def state(self) -> State:
-        """Return a copy of the state that later ticks depend on; it can be pickled."""
+        """Return a copy of the state on which later ticks depend; the copy can be pickled."""
         ...
 
     def restore(self, state: State) -> None:
-        """Return to a copied state of this tissue or of an equal tissue."""
+        """Restore a state that `state` of this tissue or of an equal tissue has returned."""
 
 
 @runtime_checkable
@@ -206,7 +207,7 @@ class HasFields(Protocol):
 
     @property
     def fields(self) -> FieldSeries | None:
-        """Fields at the times computed so far; None if the scene requests no fields."""
+        """Fields computed so far; None if the scene requests no fields."""
 
 
 @runtime_checkable
@@ -237,7 +238,7 @@ class WaitsForBackground(Protocol):
     """Tissue with background work whose result is due at a certain tick."""
 
     def wait_for_background(self, time_s: float) -> None:
-        """Wait for work whose result is due at a given time; called before every tick."""
+        """Wait for background work whose result is due at this time; called before every tick."""
 
 
 @runtime_checkable
@@ -253,7 +254,7 @@ class StartsBackground(Protocol):
     """Tissue with work at a lower rate than the ticks."""
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Do the slower work, or start it as background work; called at the end of every tick."""
+        """Do the slower work, or start it in the background; called at the end of every tick."""
 
 
 @runtime_checkable
@@ -300,8 +301,8 @@ class FreeSpace(_Stateless):
 class WallModel(_Stateless):
     """Virtual wall: linear unilateral spring below the plane z = 0, F = k depth, without friction.
 
-    The measure of the model is the depth of the ball's lowest point [mm]. ``engaged_m2`` is the
-    area of the circle in which the plane intersects the ball. The response includes the wall's
+    The only value in ``measures`` is the depth of the ball's lowest point [mm]. ``engaged_m2`` is
+    the area of the circle in which the plane intersects the ball. The response includes the wall's
     stiffness, so that the force balance of a tool on a device is found without iteration.
 
     Parameters
@@ -309,8 +310,7 @@ class WallModel(_Stateless):
     stiffness_N_m
         Stiffness of the wall [N/m].
     radius_m
-        Radius of the ball [m]. The tip lies one radius from the centre, in the negative direction
-        of the tool's axis.
+        Radius of the ball [m]. The tip is the point of the ball opposite to the shank.
     """
 
     layer_names: tuple[str, ...] = ("wall",)

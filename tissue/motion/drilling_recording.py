@@ -19,24 +19,24 @@ EVENTS = "physics_data/intermittent_data"
 """HDF5 group of intermittent events: removed voxels, burr changes and forces."""
 OLD_POSES = "high_frequency_poses"
 OLDEST_POSES = "data"
-"""HDF5 group of the poses in recordings of 2022 to 2025.
+"""HDF5 group with the poses in recordings made from 2022 to 2025.
 
-The group contains ``time``, one clock for all objects, and ``pose_OBJECT``. In another older
-layout, the group is `OLD_POSES`. In both older layouts, the groups of events are at the root of the
-file.
+The group contains ``time``, which holds for all objects, and ``pose_OBJECT`` for each object. In
+another older layout, the name of the group is `OLD_POSES`. In both older layouts, the groups of
+events are at the root of the file.
 """
 RECORDINGS = (".hdf5", ".h5")
 """File name suffixes of HDF5 recordings."""
 SHAFT_TO_X = Rotation.from_quat([0.5, 0.5, 0.5, 0.5])
-"""Rotation from the tool frame of tissue to the recorded drill frame.
+"""Rotation from the tool frame of this package to the recorded drill frame.
 
-The axis from tip to shank is z in the frame of tissue and x in the recorded frame.
+The axis from tip to shank is z in the frame of this package, and x in the recorded frame.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class DrillingRecording:
-    """Content of a recording, converted to the tool frame of tissue.
+    """Content of a recording, converted to the tool frame of this package.
 
     The time of the first pose is 0.
 
@@ -51,10 +51,10 @@ class DrillingRecording:
     load_times_s
         Times of the loads [s], shape (m,), relative to the first pose; None without recorded loads.
     loads
-        Forces on the tool in the world frame [N], shape (m, 3). With torques [N m], the shape is
-        (m, 6). Recorded torques are left out if they are only a copy of the forces.
+        Forces on the tool in the world frame [N], shape (m, 3), or forces and torques [N m], shape
+        (m, 6). Recorded torques are omitted if they are a copy of the forces.
     notes
-        Findings and assumptions, one sentence each.
+        Findings about the file and assumptions, one sentence each.
     """
 
     times_s: Array
@@ -67,7 +67,7 @@ class DrillingRecording:
 
 @dataclass(frozen=True)
 class PoseFile:
-    """File of poses, with errors that name the file.
+    """File of poses; its methods build errors that name the file.
 
     Attributes
     ----------
@@ -99,10 +99,11 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
     """Read a recording of volumetric_drilling in the present or the older layout.
 
     The recorded pose is at the centre of the burr, with x towards the shank. If the file contains
-    the burr size, the pose is moved to the tip by half of this size. Otherwise the recorded point
-    is used as the tip. The recorder sometimes receives a pose twice or out of order. Samples are
-    therefore sorted, and the first sample of each time is kept. If the file contains exactly one
-    camera, forces are rotated from the axes of the camera to the world frame.
+    the burr size, the recorded position is moved by half of this size, to the tip. Otherwise the
+    recorded position is used as the tip. The recorder sometimes stores a pose twice or out of
+    order. Samples are therefore sorted by time, and the first sample of each time is used. If the
+    file contains exactly one camera, forces are rotated from the axes of the camera to the world
+    frame.
 
     Parameters
     ----------
@@ -141,7 +142,7 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
 
 
 def poses_group(file: Any) -> str | None:
-    """Return the name of the group with a drill's poses in an HDF5 file, or None without poses."""
+    """Return the name of the HDF5 group with the poses of the drill, or None without poses."""
     for group in (POSES, OLD_POSES):
         if group in file:
             return group
@@ -213,7 +214,7 @@ def _drilling(file: Any, where: PoseFile) -> DrillingRecording:
 
 
 def _samples(file: Any, group: str, name: str, width: int, where: PoseFile) -> tuple[Array, Array]:
-    """Return increasing times [s], shape (n,), and the values at these times, shape (n, width)."""
+    """Return the increasing times [s], shape (n,), and values, shape (n, width), of a data set."""
     import h5py
 
     found = []

@@ -1,4 +1,4 @@
-"""Interface of tool motions, motion along a path, and conversions of rotations.
+"""Interface of tool motions, motion along a path, and conversion of rotations.
 
 Quaternions are (x, y, z, w).
 """
@@ -24,17 +24,17 @@ A longer motion probably has a wrong unit.
 
 @dataclass(frozen=True)
 class FeedLimit:
-    """Time in contact in which the feed limit, and not the thrust, determines the speed.
+    """Record of the time in contact during which the feed limit determines the speed of the tool.
 
     Attributes
     ----------
     max_feed_mm_s
         Feed limit [mm/s].
     active_s
-        Total time in which the limit was active in contact [s]. During this time, the resistance of
-        the tissue is smaller than the thrust.
+        Total time in contact with an active limit [s]. During this time, the resistance of the
+        tissue is smaller than the thrust.
     first_s
-        Time of the first activation [s]; None if the limit was never active.
+        Time at which the limit first became active [s]; None if the limit was never active.
     """
 
     max_feed_mm_s: float
@@ -47,37 +47,37 @@ Events = list[tuple[float, str]]
 
 
 class Motion(Protocol):
-    """Motion of a tool.
+    """Interface of tool motions.
 
-    `begin` writes the first pose, `advance` writes the pose of every tick, and `play` handles the
-    tissue response.
+    `begin` writes the first pose. In every tick, `advance` writes the pose, and `play` receives the
+    response of the tissue.
     """
 
     duration_s: float
     """Duration of the motion [s]."""
     after_s: float = 0.0
-    """Part of the duration that is caused by the delay of a simulated hand [s]."""
+    """Part of `duration_s` that is added for the delay of a simulated hand [s]."""
     measure_names: tuple[str, ...] = ()
     """Names, with units, of the columns that the motion adds to the trace."""
     measures: Array = np.zeros(0)
     """Values of the columns `measure_names` at the present tick."""
     model_ticks: int = 1
-    """Number of ticks for which one response of the tissue is used."""
+    """Number of ticks in which the same tissue response is used."""
     notes: tuple[str, ...] = ()
     """Findings about the file from which the motion was read, in sentences."""
     balances: bool = False
-    """True if the pose in a tick depends on the force at this pose.
+    """True if the pose in a tick depends on the tissue force at this pose.
 
     If True, `correct` searches for the pose before tissue is removed.
     """
 
     @property
     def feed_limit(self) -> FeedLimit | None:
-        """Time in contact in which the feed limit determines the speed; None without a thrust."""
+        """Record of the active feed limit; None for a motion that is not driven by a thrust."""
         return None
 
     def sweep_m(self) -> Array:
-        """Return tip positions that outline the region of the motion [m], shape (n, 3)."""
+        """Return tip positions [m], shape (n, 3), that span the region of the motion."""
         ...
 
     def rotations(self) -> Array:
@@ -85,7 +85,7 @@ class Motion(Protocol):
         ...
 
     def meet(self, tissue: TissueModel) -> None:
-        """Receive the tissue through which the tool moves, before the start."""
+        """Receive the tissue model before the start of the motion."""
         return
 
     def begin(self, motion: ToolMotion) -> None:
@@ -94,11 +94,14 @@ class Motion(Protocol):
         motion.rotation[:] = self.rotations()[0]
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Write the pose at ``time_s`` into ``motion``; ``response`` is from the previous tick."""
+        """Write the pose at ``time_s`` into ``motion``.
+
+        ``response`` is the response of the tissue in the previous tick.
+        """
         ...
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Move the tool again within the tick if the response at its new pose requires it.
+        """Correct the pose within the tick if the tissue response at the new pose requires it.
 
         Return True if the tool moved. For a motion with `balances`, the method is called until it
         returns False.
@@ -106,7 +109,7 @@ class Motion(Protocol):
         return False
 
     def play(self, response: Response) -> None:
-        """Handle the tissue response at the present tick."""
+        """Receive the tissue response at the present tick."""
         return
 
     def happened(self) -> Events:
@@ -128,7 +131,7 @@ def first_off_unit(quaternions: Array) -> int | None:
 
 
 def frame_along(axis: ArrayLike) -> Array:
-    """Return a rotation matrix whose third column is along ``axis``, and its first column near x.
+    """Return a rotation matrix with the third column along ``axis`` and the first column near x.
 
     If the angle between ``axis`` and x is below about 26°, the first column is near y instead.
     """
@@ -157,7 +160,7 @@ def quaternion_of(rotation: Array) -> Array:
 
 
 class FollowPath(Motion):
-    """Position-driven motion: the tip follows straight lines with a given feed, then rests.
+    """Motion along straight lines with a given feed; at the end of the path the tool rests.
 
     Parameters
     ----------
@@ -203,7 +206,7 @@ class FollowPath(Motion):
         return np.broadcast_to(self._rotation, (len(self._points), 3, 3))
 
     def begin(self, motion: ToolMotion) -> None:
-        """Start at the first corner."""
+        """Write the pose at the first corner of the path; the speed is zero."""
         super().begin(motion)
         motion.heading[0] = self._headings[0]
 
@@ -233,7 +236,7 @@ class StaysAt(Motion):
     start_m
         Position of the tip [m].
     axis
-        Direction from tip to shank.
+        Direction of the tool's axis from tip to shank.
     """
 
     duration_s = inf

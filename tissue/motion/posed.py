@@ -1,4 +1,4 @@
-"""Motion of a tool to poses that the caller gives step by step."""
+"""Motion of a tool through poses that the caller sets one after the other."""
 
 from math import atan2, sqrt
 
@@ -12,9 +12,9 @@ from tissue.motion.motion import StaysAt, matrix_of
 from tissue.motion.quaternion import OFF_UNIT
 
 FASTEST_M_S = 10.0
-"""Largest accepted speed of a tool [m/s]; a larger speed is due to a pose in a wrong unit.
+"""Largest accepted speed of a tool [m/s]; a larger speed indicates a pose in a wrong unit.
 
-Carving visits all voxels of the swept region, so a step with one wrong number would take minutes.
+Carving visits all voxels in the swept region, so a single wrong pose would take minutes.
 """
 OFF_ROTATION = 1e-4
 """Largest accepted deviation of a matrix from a rotation.
@@ -22,13 +22,13 @@ OFF_ROTATION = 1e-4
 The value allows for numbers in single precision or with five digits.
 """
 RESTS = 1e-9
-"""Speed below which a tool rests [m/s, rad/s]; rounding of positions gives a smaller speed."""
+"""Speed below which a tool counts as resting [m/s, rad/s]; rounding errors are smaller."""
 
 
 def pose_in(pose: ArrayLike, rotation: Array) -> tuple[Array, Array]:
     """Return the tip [m], shape (3,), and the rotation, shape (3, 3), of a pose.
 
-    See `poses_in` for the forms of a pose, and for `rotation`.
+    See `poses_in` for the accepted formats of a pose, and for the argument `rotation`.
     """
     tips, rotations = poses_in("pose", np.asarray(pose, dtype=np.float64)[None], rotation)
     return tips[0], rotations[0]
@@ -46,12 +46,12 @@ def poses_in(name: str, poses: ArrayLike, rotation: Array) -> tuple[Array, Array
         from the tool frame to the tissue frame [mm], shape (n, 4, 4). A quaternion whose length is
         within 1 % of 1 is normalised.
     rotation
-        Rotation of all poses if they are positions alone, shape (3, 3).
+        Rotation that is used if the poses are positions only, shape (3, 3).
 
     Raises
     ------
     InputError
-        If the poses have another shape, are not finite, or have an invalid rotation.
+        If the poses have a wrong shape, are not finite, or have an invalid rotation.
     """
     try:
         values = np.asarray(poses, dtype=np.float64)
@@ -124,9 +124,9 @@ def rotation_by(vector: Array) -> Array:
 
 
 class PosedTool(StaysAt):
-    """Motion of a tool to given poses.
+    """Motion of a tool through poses that are set step by step.
 
-    The motion from one pose to the next is divided equally among the ticks of the step.
+    The motion from one pose to the next pose is divided equally among the ticks between them.
 
     Parameters
     ----------
@@ -170,8 +170,7 @@ class PosedTool(StaysAt):
             Pose after the given number of ticks.
         velocity
             Velocity of the tip [m/s] and angular velocity [rad/s] during the ticks, shape (2, 3).
-            With None, the velocities are the change of the pose divided by the duration of the
-            ticks.
+            If None, the change of the pose is divided by the duration of the ticks.
         ticks
             Number of ticks.
 
@@ -209,7 +208,7 @@ class PosedTool(StaysAt):
         self._velocity = velocity
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Move the tool for one tick; after the last tick of a step the tool rests."""
+        """Move the tool for one tick; the tool rests after it has reached the pose of `aim`."""
         if self._left == 0:
             motion.speed_m_s = 0.0
             return

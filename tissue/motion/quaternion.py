@@ -8,7 +8,7 @@ Triple = tuple[float, float, float]
 """Three components of a vector."""
 NOTHING: Triple = (0.0, 0.0, 0.0)
 UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
-"""Quaternion of the rotation by zero; `NOTHING` is the vector of zeros."""
+"""Quaternion of the identity rotation; `NOTHING` is the zero vector."""
 OFF_UNIT = 0.02
 """Largest accepted deviation of a quaternion's squared length from 1.
 
@@ -49,7 +49,7 @@ def is_nearly_unit(rotation: Quaternion) -> bool:
 
 
 def exponential(vector: Triple) -> Quaternion:
-    """Return the rotation about ``vector`` by an angle equal to the length of ``vector`` [rad]."""
+    """Return the quaternion of a rotation vector: axis times angle [rad]."""
     x, y, z = vector
     angle = sqrt(x * x + y * y + z * z)
     # Below 1e-8 rad the series 1/2 - angle^2 / 48 equals 1/2 within rounding.
@@ -58,7 +58,7 @@ def exponential(vector: Triple) -> Quaternion:
 
 
 def logarithm(rotation: Quaternion) -> Triple:
-    """Return the shortest rotation vector of a unit quaternion, of length pi or less."""
+    """Return the rotation vector of a unit quaternion [rad], with a length of pi or less."""
     x, y, z, w = rotation
     # The opposite quaternion is the same rotation; the quaternion with w >= 0 gives the smaller
     # angle.

@@ -26,19 +26,19 @@ The motion of a tool in a patient is less than a metre.
 
 
 class GivenPoses(Motion):
-    """Motion through given poses, one pose per tick.
+    """Motion of a tool through given poses, one pose per tick.
 
-    The velocity at a pose is the difference from the previous pose, divided by the time between
-    both poses.
+    The velocity at a pose is the difference from the previous pose, divided by the time between the
+    two poses.
 
     Parameters
     ----------
     times_s
-        Increasing times [s], shape (n,).
+        Increasing times of the poses [s], shape (n,).
     tips_m
         Tip positions [m], shape (n, 3).
     turns
-        The n orientations of the tool.
+        Orientations of the tool, one for each pose.
 
     Raises
     ------
@@ -109,7 +109,7 @@ class ReplayPoses(GivenPoses):
     Parameters
     ----------
     times_s
-        Increasing times [s], shape (n,).
+        Increasing times of the poses [s], shape (n,).
     tips_m
         Tip positions [m], shape (n, 3).
     quaternions

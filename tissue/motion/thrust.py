@@ -10,11 +10,11 @@ from tissue.motion.motion import Events, FeedLimit, Motion, frame_along
 TOLERANCE = 0.01
 """Largest difference between the speed that led to a pose and the balanced speed at this pose.
 
-The difference is relative to the larger of the two speeds. The force balance itself is exact. The
-tolerance limits the error of the pose to a hundredth of the travel in a tick. The tolerance also
-applies to the difference between the balanced speed and the speed at which the tissue linearises
-its force law. If these speeds differ by a hundredth, the relative error of the linearised force is
-1e-5 for a size exponent of 0.3.
+The difference is relative to the larger of the two speeds. At the final pose, the force balance is
+solved exactly. The tolerance limits the error of the pose to a hundredth of the travel in a tick.
+The tolerance also applies to the difference between the balanced speed and the speed at which the
+tissue linearises its force law. For a difference of a hundredth and a size exponent of 0.3, the
+relative error of the linearised force is 1e-5.
 """
 MOST_POSES = 10
 """Largest number of poses tried in a tick.
@@ -41,16 +41,17 @@ def implicit_speed(
 class SpeedSearch:
     """Search for the speed in a tick that balances the forces at the resulting pose.
 
-    Let S(v) be the speed that balances the forces at the pose that a tried speed v leads to. S(v)
-    is limited to the allowed speeds. S(v) - v therefore changes its sign between the lowest and the
-    highest allowed speed. S(v) is tried next. If S(v) and v are not close after two tries, the
-    interval with the change of sign is halved. If the force jumps, for example at the first contact
-    of a flat reamer, the search ends on the side of the larger force.
+    A tried speed v leads to a pose. Let S(v) be the speed that balances the forces at this pose.
+    S(v) is limited to the allowed speeds. S(v) - v therefore changes its sign between the lowest
+    and the highest allowed speed. After a try with v, the speed S(v) is tried next. If S(v) and v
+    are not close after two tries, the interval in which the sign changes is halved. If the force
+    jumps, for example at the first contact of a flat reamer, the search ends on the side of the
+    larger force.
 
     At each pose, the force law is replaced by its tangent as a function of the speed. The tangent
     is computed at the tried speed. S(v) - v therefore has the same sign as with the force law
     itself. If the search ends with a balanced speed that is not close to the tried speed, new
-    tangents are computed at that pose until the two speeds are close.
+    tangents are computed at the last pose until the two speeds are close.
 
     Attributes
     ----------
@@ -69,7 +70,7 @@ class SpeedSearch:
         self._is_last_pose = False
 
     def begin(self, speed: float, *, highest: float) -> None:
-        """Start a tick with a first guess; the speed is limited to 0 to ``highest`` [m/s]."""
+        """Start a tick with a first guess of the speed, limited to 0 to ``highest`` [m/s]."""
         self.tried = self.tangent = speed
         self._low = 0.0
         self._high = highest
@@ -126,9 +127,9 @@ class PushAlongAxis(Motion):
     """Force-driven motion: a thrust force pushes the tool along its axis.
 
     The feed is computed from the balance of thrust and cutting force. The cutting force increases
-    so steeply with the feed (up to 1e5 N s/m) that an explicit step longer than 2 m / c is unstable
-    (mass m, drag c). The balance is therefore solved for the new speed v', with the drag and the
-    edge force at the new pose::
+    steeply with the feed: the drag c is up to 1e5 N s/m. With the mass m, an explicit step longer
+    than 2 m / c is unstable. The balance is therefore solved for the new speed v', with the drag
+    and the edge force at the new pose::
 
         m (v' - v) / dt = thrust - c(x + v' dt) v' - edge(x + v' dt),    v' in [0, largest feed]
 
@@ -146,7 +147,8 @@ class PushAlongAxis(Motion):
     thrust_N, mass_kg, max_feed_m_s
         Thrust [N], moving mass [kg] and largest feed [m/s].
     depth_m
-        Coordinate along ``-axis``, from the site's origin, at which the feed stops [m].
+        Depth along ``-axis`` at which the feed stops [m], measured from the origin of the frame of
+        `start_m`.
     """
 
     balances = True
@@ -238,7 +240,10 @@ class PushAlongAxis(Motion):
         return True
 
     def happened(self) -> Events:
-        """Return the event of an active feed limit in contact: first time and total duration."""
+        """Return an event if the feed limit was active in contact.
+
+        The event reports the first time and the total duration of the active limit.
+        """
         if self._limited_s == 0.0:
             return []
         what = (

@@ -1,13 +1,14 @@
-"""Compliance of the touchable nodes, ``W = H K^-1 H^T``: complete, reduced or near the tool.
+"""Compliance ``W = H K^-1 H^T`` of the surface nodes that a tool may touch.
 
-With W, a contact solve needs no unknowns inside the body (Duriez et al. 2006, IEEE Trans. Vis.
-Comput. Graph. 12:36). W is read from one factor of K and kept on disk. If this would need too much
-memory, W is computed by back-substitutions.
+K is the stiffness matrix, and H selects the touchable unknowns. With W, a contact solver needs no
+unknowns inside the body (Duriez et al. 2006, IEEE Trans. Vis. Comput. Graph. 12:36). W is read from
+one factor of K and stored on disk. If this needs too much memory, W is computed by
+back-substitutions.
 
-The touchable unknowns t are eliminated last, after the other unknowns r. In ``K = L L^T``, the last
-block of L then is the factor of the Schur complement: ``S = K_tt - K_tr K_rr^-1 K_rt = L_tt
-L_tt^T``. The compliance is ``W = S^-1``. No back-substitution is needed. With 36,000 unknowns, of
-which 1,350 are touchable, back-substitutions take twenty times as long.
+The touchable unknowns t are eliminated last, after the other unknowns r. The last block of L in ``K
+= L L^T`` is then the factor of the Schur complement: ``S = K_tt - K_tr K_rr^-1 K_rt = L_tt
+L_tt^T``. The compliance is ``W = S^-1``. No back-substitution is needed. With 36,000 unknowns,
+1,350 of them touchable, back-substitutions would take twenty times as long.
 """
 
 from collections import OrderedDict, deque
@@ -26,20 +27,20 @@ from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import ColumnSolver, HeldBody, components_of
 
 LIMIT_BYTES = 2_000_000_000
-"""Largest allowed size of a dense matrix [bytes].
+"""Largest allowed memory of a dense compliance matrix [bytes].
 
 For a larger matrix, use ``LazyCompliance``, which computes only columns near the tool.
 """
 SCHUR_UNKNOWNS = 100_000
-"""Largest number of unknowns for which W is read from the factor.
+"""Largest number of unknowns for which the compliance is read from the factor.
 
-With more unknowns, the copies that this needs would take more than 4 GB.
+With more unknowns, the temporary copies would take more than 4 GB.
 """
 CHUNK = 48
-"""Number of columns that one thread computes at a time.
+"""Number of columns of the compliance that one thread computes at a time.
 
-For 36,000 unknowns the columns take 14 MB. With its loads and copies, a thread needs 70 MB, in
-addition to the memory of the back-substitution.
+For 36,000 unknowns the columns take 14 MB. With loads and copies, a thread needs 70 MB, in addition
+to the memory of the back-substitution.
 """
 
 
@@ -51,22 +52,22 @@ def surface_compliance_m_N(
     solver: Callable[[], ColumnSolver] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Array:
-    """Return W [m/N] from the cache, or compute it from a factor.
+    """Return the compliance W of touchable nodes [m/N], from the cache or from a factor.
 
-    W is the compliance of the t touchable nodes, shape (3t, 3t), and is bitwise symmetric. Its rows
-    and columns are x, y, z node by node.
+    W has shape (3t, 3t) for t touchable nodes, and is bitwise symmetric. The order of rows and
+    columns is x, y, z of the first node, x, y, z of the second node, and so on.
 
     Parameters
     ----------
     body
-        The stiffness and its supports.
+        Stiffness matrix and supports.
     touchable
         Nodes that a tool may touch, without duplicates, shape (t,).
     limit_bytes
         Largest memory of W [bytes].
     solver
-        Function that makes the solver of the body. It is called if W is not in the cache. Default:
-        a new factorisation.
+        Function that returns a solver for the body, called if W is not in the cache. Default: a new
+        factorisation.
     progress
         Function that is called with the completed share, in (0, 1].
 
@@ -102,7 +103,7 @@ def surface_compliance_m_N(
 def _found(
     solver: ColumnSolver, touchable: Ints, progress: Callable[[float], None] | None
 ) -> Array:
-    """Compute the symmetric matrix W [m/N], shape (3t, 3t), by back-substitutions."""
+    """Compute the symmetric compliance matrix [m/N], shape (3t, 3t), by back-substitutions."""
     rows = components_of(touchable)
     matrix = np.empty((len(rows), len(rows)))
 
@@ -120,14 +121,14 @@ def _found(
 
 
 def reduced_compliance_m_N(solver: ColumnSolver, touchable: Ints, size: int) -> Array:
-    """Return the symmetric matrix W in a reduced basis [m/N], shape (3t, 3t).
+    """Return the compliance of t touchable nodes in a reduced basis [m/N], shape (3t, 3t).
 
     The basis is the proper orthogonal decomposition, in the energy norm, of the displacements for
-    all unit forces on the touchable nodes. The Gram matrix of these displacements is W itself. The
-    reduced compliance is W restricted to its largest eigenvalues, the best matrix of this rank
-    (Eckart and Young 1936, Psychometrika 1:211). The omitted part of the compliance is mostly local
-    to the loaded nodes. The diagonal blocks of this part are added, like the residual flexibility
-    for omitted modes (MacNeal 1971, Comput. Struct. 1:581).
+    all unit forces on the touchable nodes. The Gram matrix of these displacements is the compliance
+    matrix W itself. The reduced compliance is the part of W with the largest eigenvalues, which is
+    the best matrix of this rank (Eckart and Young 1936, Psychometrika 1:211). The omitted part of W
+    acts mostly at the loaded nodes. The diagonal blocks of this part are added, like the residual
+    flexibility for omitted modes (MacNeal 1971, Comput. Struct. 1:581).
 
     Parameters
     ----------
@@ -136,7 +137,7 @@ def reduced_compliance_m_N(solver: ColumnSolver, touchable: Ints, size: int) -> 
     touchable
         Nodes that carry load, shape (t,).
     size
-        Number of modes.
+        Number of modes in the basis.
     """
     whole = _found(solver, touchable, None)
     values, vectors = np.linalg.eigh(whole)
@@ -149,12 +150,13 @@ def reduced_compliance_m_N(solver: ColumnSolver, touchable: Ints, size: int) -> 
 
 
 class LazyCompliance:
-    """Columns of ``W = H K^-1 H^T`` for the nodes that were requested last.
+    """Columns of a compliance matrix for the nodes that were requested last.
 
     A node is identified by its index among the touchable nodes. ``want`` requests the nodes near
-    the tool. ``fill`` computes their columns in the caller's thread, before the ticks. ``start``
-    starts a thread that computes them during the ticks. ``pour`` only copies computed values. If
-    the buffer is full, the node with the oldest request is dropped first.
+    the tool. ``fill`` computes the requested columns in the caller's thread, before the ticks.
+    ``start`` starts a thread that computes requested columns during the ticks. ``pour`` only copies
+    computed values. If the buffer is full, the columns of the node with the oldest request are
+    dropped.
 
     Parameters
     ----------
@@ -163,7 +165,7 @@ class LazyCompliance:
     touchable
         Nodes that may be touched, shape (t,).
     capacity_bytes
-        Memory of the buffer.
+        Memory of the buffer for columns [bytes].
     """
 
     def __init__(
@@ -220,8 +222,8 @@ class LazyCompliance:
         """Write the blocks of one newly computed node into a matrix of all touchable nodes.
 
         The matrix has shape (3t, 3t). The method writes the blocks between this node and all
-        computed nodes. Other blocks stay unchanged. A block always gets the same values. A call
-        writes only one node, so that a tick is short.
+        computed nodes. Other blocks stay unchanged. A call writes only one node, to keep a tick
+        short.
 
         Returns
         -------
@@ -263,7 +265,7 @@ class LazyCompliance:
             self._thread.start()
 
     def stop(self) -> None:
-        """End the thread after it has computed its present node."""
+        """End the background thread after it has computed its present node."""
         with self._changed:
             self._ended = True
             self._changed.notify_all()
@@ -293,7 +295,7 @@ class LazyCompliance:
     def _find(self, node: int) -> None:
         """Compute the three columns of one node.
 
-        A solve with a factor releases the interpreter lock, so that other threads can run.
+        A back-substitution releases the interpreter lock, so that other threads can run.
         """
         unknowns = 3 * self._touchable[node] + np.arange(3)
         columns = self._solver.columns(unknowns)[self._rows].reshape(-1, 3, 3).transpose(0, 2, 1)

@@ -3,8 +3,8 @@
 The factorisation is multifrontal. With 35,000 unknowns it takes a quarter of the time of SciPy's
 SuperLU with the same order of elimination (docs/decisions.md).
 
-The order of elimination is a nested dissection by the coordinates of the nodes, which gives a
-sparse factor (George 1973, SIAM J. Numer. Anal. 10:345).
+The unknowns are eliminated in the order of a nested dissection by node coordinates. This order
+gives a sparse factor (George 1973, SIAM J. Numer. Anal. 10:345).
 """
 
 from copy import copy
@@ -21,19 +21,19 @@ from tissue.fem.solvers.multifrontal import Multifrontal
 from tissue.system.blas_threads import one_blas_thread
 
 LEVELS = 10
-"""Number of halvings of the box for the Morton curve: 1024 steps along a side."""
+"""Number of halvings of the box for the Morton curve, which then has 1024 steps along a side."""
 LEAF = 32
-"""Largest number of nodes of a set that is not divided further.
+"""Largest number of nodes in a set that the dissection does not divide further.
 
 A factorisation takes the same time with 8 to 128 nodes. With 128 the factor has 15 % more entries.
 """
 
 
 def dissected(nodes_m: Array, graph: csr_array) -> list[Ints]:
-    """Return sets of nodes in order of elimination: the two sides of a cut, then the separator.
+    """Return sets of nodes in order of elimination, by nested dissection.
 
-    A set is cut at the median of its longest extent. The nodes on one side with a neighbour on the
-    other side are the separator.
+    A set of nodes is cut at the median of its longest extent. The nodes on one side with a
+    neighbour on the other side form the separator, which is eliminated after both sides.
 
     Parameters
     ----------
@@ -103,22 +103,22 @@ TOGETHER = 48
 
 @dataclass(frozen=True, eq=False)
 class _Order:
-    """Order of elimination of a body, for every stiffness with the same pattern.
+    """Order in which the unknowns of a body are eliminated, for all matrices with one pattern.
 
     Attributes
     ----------
     last
-        Nodes that are eliminated last, rising.
+        Nodes that are eliminated last, in rising order.
     unknowns
         Free unknowns in the order of elimination, shape (f,).
     position
         Position of each unknown in the order of elimination, -1 for held unknowns, shape (3n,).
     starts
-        First position of each block of unknowns that are eliminated together, with f at the end,
-        shape (blocks + 1,).
+        First position of each block of unknowns that are eliminated together, shape (blocks + 1,).
+        The last entry is f.
     sources, indices, indptr
-        Entries of the ordered matrix, by column: positions of the entries in the stiffness, rows of
-        the entries, and starts of the columns.
+        Compressed columns of the ordered matrix: position of each entry in the stiffness, row of
+        each entry, and start of each column.
     """
 
     last: Ints
@@ -168,14 +168,15 @@ class DirectSolver:
     body
         The stiffness and its supports.
     last
-        Nodes that are eliminated last. The compliance between them can be read from the factor.
+        Nodes that are eliminated last. The compliance between these nodes can be read from the
+        factor.
     like
-        Solver of the same body with another stiffness of the same pattern. Its order of elimination
-        and its precision are used, and `last` and `single` are ignored. Default: a new order is
-        computed.
+        Solver of the same body with another stiffness of an equal pattern. The new solver uses the
+        order of elimination and the precision of `like`, and ignores `last` and `single`. Default:
+        a new order is computed.
     single
-        True for a factor in single precision. The factorisation then takes two thirds of the time.
-        `solve` reports solutions with this factor as inaccurate.
+        True for a factor in single precision. The factorisation then takes two thirds of the time,
+        but `solve` reports the solutions as inaccurate.
 
     Raises
     ------
@@ -235,7 +236,7 @@ class DirectSolver:
         return moved.reshape(load_N.shape)
 
     def displacements_m(self, loads_N: Array) -> Array:
-        """Return displacements [m] under k loads [N], both of shape (3n, k), without any check."""
+        """Return displacements [m] under k loads [N], each of shape (3n, k), without any check."""
         moved = np.zeros_like(loads_N)
         for start in range(0, loads_N.shape[1], TOGETHER):
             several = np.ascontiguousarray(loads_N[self._order.unknowns, start : start + TOGETHER])
@@ -243,7 +244,7 @@ class DirectSolver:
         return moved
 
     def with_springs(self, root: csr_array) -> "DirectSolver":
-        """Return the solver of the body with springs on nodes that are eliminated last.
+        """Return a solver for the body with additional springs on nodes that are eliminated last.
 
         Only the last block is factorised anew. Use only `displacement_m` of the result.
 
@@ -276,11 +277,12 @@ class DirectSolver:
         return found
 
     def compliance_between(self, nodes: Ints) -> Array:
-        """Compute the compliance [m/N] between k nodes, shape (3k, 3k), x, y, z node by node.
+        """Compute the compliance between k nodes [m/N], shape (3k, 3k).
 
-        The compliance of held nodes is zero. For nodes that are eliminated last, the compliance is
-        read from the last block of the factor, which is the factor of the Schur complement of these
-        nodes. For other nodes back-substitutions are computed.
+        The order of rows and columns is x, y, z node by node. The compliance of held nodes is zero.
+        For nodes that are eliminated last, the compliance is read from the last block of the
+        factor, which is the factor of the Schur complement of these nodes. For other nodes
+        back-substitutions are computed.
         """
         if not np.isin(nodes, self.last).all():
             unknowns = components_of(nodes)

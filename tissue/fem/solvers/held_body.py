@@ -1,4 +1,4 @@
-"""Body ``K u = f`` with supports, and check for rigid motions that the supports do not prevent."""
+"""Body with supports, and a check that the supports prevent every rigid motion."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,7 +13,7 @@ from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
 
 LEAST_HOLD = 1e-6
-"""Relative motion of the held components below which a rigid motion is free.
+"""Relative motion of held components below which the supports do not prevent a rigid motion.
 
 The relative motion is the ratio of the motion of the held components to the motion of the whole
 body. The rounding error of this ratio is 1e-8.
@@ -39,7 +39,7 @@ def free_motion_count(nodes_m: Array, held: Flags) -> int:
     nodes_m
         Nodes of one connected body [m], shape (n, 3).
     held
-        Components that are fixed, shape (n, 3).
+        True for displacement components that are held, shape (n, 3).
     """
     centre = nodes_m.mean(axis=0)
     # A single node has no extent.
@@ -50,7 +50,7 @@ def free_motion_count(nodes_m: Array, held: Flags) -> int:
 
 
 class ColumnSolver(Protocol):
-    """Solver that computes columns of the inverse, for a compliance or a basis.
+    """Interface of a solver that computes columns of the inverse stiffness.
 
     Attributes
     ----------
@@ -74,7 +74,8 @@ class HeldBody:
     Attributes
     ----------
     stiffness
-        K [N/m], shape (3n, 3n), symmetric, unknowns x, y, z node by node.
+        Symmetric stiffness matrix K [N/m], shape (3n, 3n). The order of the unknowns is x, y, z
+        node by node.
     nodes_m
         Node positions [m], shape (n, 3).
     fixed
@@ -85,8 +86,8 @@ class HeldBody:
     Raises
     ------
     InputError
-        If K is not finite, nothing is held, a held node belongs to no cell, or
-        a connected part may move as a rigid body.
+        If K is not finite, no component is held, a held node belongs to no cell, or a connected
+        part may move as a rigid body.
     """
 
     stiffness: bsr_array
@@ -138,7 +139,7 @@ class HeldBody:
         Raises
         ------
         InputError
-            If the load has another shape, is not finite, or acts on nodes that belong to no cell.
+            If the load has a wrong shape, is not finite, or acts on nodes that belong to no cell.
         """
         load = np.asarray(load_N, np.float64)
         if load.shape != self.nodes_m.shape or not np.isfinite(load).all():
@@ -165,7 +166,7 @@ class HeldBody:
 
 
 def components_of(nodes: Ints) -> Ints:
-    """Return the indices of the components x, y, z of nodes, node by node, shape (3k,)."""
+    """Return the indices of the unknowns x, y, z of k nodes, node by node, shape (3k,)."""
     return (3 * nodes[:, None] + np.arange(3)).ravel()
 
 

@@ -1,10 +1,11 @@
 """Multifrontal Cholesky factor of a sparse matrix.
 
 The method follows Duff and Reid (1983, ACM Trans. Math. Softw. 9:302). Blocks of unknowns are
-eliminated one after the other. A block is eliminated in a dense front ``[[A, B^T], [B, C]]`` of its
-own unknowns and of the later unknowns that its elimination changes. With ``A = L L^T``, L and ``B
-L^-T`` are stored. ``C - B A^-1 B^T`` is added to the front that eliminates the first of the later
-unknowns. Nearly all of the time is spent in LAPACK and in BLAS of level 3.
+eliminated one after the other. A block is eliminated in a dense matrix ``[[A, B^T], [B, C]]``, its
+front. The front contains the unknowns of the block and the later unknowns that the elimination
+changes. With ``A = L L^T``, L and ``B L^-T`` are stored. ``C - B A^-1 B^T`` is added to the front
+that eliminates the first of the later unknowns. Nearly all of the computing time is spent in LAPACK
+and in level 3 BLAS.
 """
 
 from copy import copy
@@ -21,7 +22,7 @@ from meshes.base.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Front:
-    """Block of unknowns that are eliminated together.
+    """Block of unknowns that are eliminated together, and its place in the factorisation.
 
     Attributes
     ----------
@@ -40,7 +41,7 @@ class Front:
 
 
 def fronts_of(lower: csc_array, starts: Ints) -> list[Front]:
-    """Return the fronts of blocks of unknowns in order of elimination, children first.
+    """Return the fronts of all blocks of unknowns, in order of elimination.
 
     Parameters
     ----------
@@ -69,13 +70,13 @@ def fronts_of(lower: csc_array, starts: Ints) -> list[Front]:
 
 
 FEW_RUNS = 16
-"""Largest number of pairs of a row run and a column run for which a block is added pair by pair."""
+"""Largest number of run pairs for which a block is added pair by pair."""
 SHORT = 6
-"""Mean number of rows in a run below which a block with more pairs is added entry by entry.
+"""Mean length of runs below which a block with more than `FEW_RUNS` pairs is added by entries.
 
-A run is a group of consecutive rows. The values of `FEW_RUNS` and `SHORT` are not critical: for a
-liver with 51,795 unknowns, values of 1 to 64 and of 2 to 12 change the time by less than its
-scatter of 10 %.
+A run is a group of consecutive rows. A run pair is one run of rows and one run of columns. The two
+limits are not critical. For a liver with 51,795 unknowns, values of `FEW_RUNS` from 1 to 64 and of
+`SHORT` from 2 to 12 change the time by less than its scatter of 10 %.
 """
 
 
@@ -95,8 +96,8 @@ class Multifrontal:
         Index of the first unknown of each block, in rising order, with n at the end, shape (blocks
         + 1,). The unknowns of a block are eliminated together.
     fronts
-        Fronts of another matrix with the same blocks and the same pattern. By default, the fronts
-        are computed.
+        Fronts of another matrix with equal blocks and an equal pattern. By default, the fronts are
+        computed.
 
     Raises
     ------
@@ -128,7 +129,7 @@ class Multifrontal:
 
     @property
     def entries(self) -> int:
-        """Number of entries of the factor."""
+        """Number of stored entries of the factor."""
         return sum(part.size for part in [*self._diagonal, *self._under])
 
     def solve(self, right: Array) -> Array:
@@ -175,10 +176,10 @@ class Multifrontal:
         return found
 
     def _solved(self, lower: Array, right: Array, *, transposed: int = 0) -> Array:
-        """Solve with a lower triangle, or with its transpose, for the shapes of `solve`.
+        """Solve with a lower triangle or its transpose, for one or several right-hand sides.
 
-        For a single right-hand side another BLAS routine is used. This routine reads each entry
-        once, and takes 0.6 times as long as the routine for several right-hand sides.
+        For one right-hand side, another BLAS routine is used. It reads each entry once, and takes
+        0.6 times as long as the routine for several right-hand sides.
         """
         if right.ndim == 1:
             return self._trsv(lower, right, lower=1, trans=transposed)
@@ -243,8 +244,8 @@ class _Rows:
 def _add(target: Array, rows: _Rows, columns: _Rows, block: Array) -> None:
     """Add a block to some rows and columns of a matrix in place.
 
-    The lower triangle of a square block is added; the upper triangle may be added too. Runs of
-    consecutive rows are contiguous in memory, so long runs are added run by run.
+    Of a square block, only the lower triangle is needed. Runs of consecutive rows are contiguous in
+    memory, so long runs are added run by run.
     """
     if not block.size:
         return

@@ -1,9 +1,9 @@
 """Conjugate gradients preconditioned by smoothed aggregation with the six rigid motions.
 
 The solver is for large meshes: its memory, and its time for one right-hand side, increase linearly
-with the mesh. The matrix is scaled by its diagonal, so that cells of all sizes have equal weight.
-It is stored in blocks of 3x3, so that whole nodes are aggregated instead of single components
-(Vanek, Mandel, Brezina 1996, Computing 56:179).
+with the number of unknowns. The matrix is scaled by its diagonal, so that cells of all sizes have
+equal weight. The matrix is stored in blocks of 3x3, so that whole nodes are aggregated instead of
+single components (Vanek, Mandel, Brezina 1996, Computing 56:179).
 """
 
 import warnings
@@ -25,14 +25,14 @@ from tissue.fem.conjugate_gradients import (
 from tissue.fem.solvers.held_body import HeldBody, rigid_modes
 
 COARSEST_NODES = 50
-"""Largest number of aggregates of a level that is solved directly.
+"""Largest number of aggregates (groups of nodes) of a level that is solved directly.
 
 With 10 to 400 aggregates, livers of 2505 and 16,523 nodes take 18 to 20 iterations.
 """
 WEAK = 0.05
-"""Coupling of two nodes, relative to their own stiffness, below which the two are not aggregated.
+"""Smallest coupling of two nodes that are aggregated, relative to the stiffness of the nodes.
 
-Compared with aggregates over all couplings, this limit saves a third of the iterations.
+Without this limit, 1.5 times as many iterations are needed.
 """
 
 
@@ -44,8 +44,8 @@ class MultigridSolver:
     body
         The stiffness and its supports.
     tolerance
-        Allowed relative error in the energy norm. The error is estimated as ``sqrt(r . B r / l)``,
-        with the residual r, a multigrid cycle B, and the smallest eigenvalue l of B K that the
+        Allowed relative error in the energy norm. The error is estimated as ``sqrt(r . B r / l)``.
+        Here r is the residual, B a multigrid cycle, and l the smallest eigenvalue of B K that the
         iterations have found (Meurant and Strakos 2006, Acta Numer. 15:471).
     limit
         Largest number of iterations. A liver takes 20 iterations. If a body needs many more
@@ -109,7 +109,7 @@ class MultigridSolver:
         Raises
         ------
         InputError
-            If a solve does not converge.
+            If the iterations for a column do not converge.
         """
         answers = np.zeros((len(self._scale), len(unknowns)))
         for column, unknown in enumerate(unknowns):
@@ -139,7 +139,7 @@ class MultigridSolver:
     def _error(self, now: Iterate, right: Array) -> float:
         """Estimate the relative error in the energy norm.
 
-        If the error may be within the tolerance, the smallest eigenvalue is estimated anew.
+        If the error may be within the tolerance, the smallest eigenvalue is estimated again.
         """
         energy = dot(now.found, right - now.residual)
         slope = now.slopes[-1]

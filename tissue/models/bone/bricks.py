@@ -24,7 +24,7 @@ Each of the arrays `remaining`, `swept`, `middle`, `older` and `nearby` takes 2 
 NEVER_SWEPT = 65535
 """Stored value of `swept`, `middle` and `older` for a voxel that the tool has never reached."""
 STEPS = FULL // 255
-"""Ratio of the stored 16-bit fraction to the 8-bit fraction of the volume."""
+"""Value of a full voxel in the store (65535) divided by its value in a voxel volume (255)."""
 CHANGED = ("remaining", "swept", "middle", "older", "alive")
 """Names of the arrays of `BrickStore` that carving reads and changes."""
 
@@ -66,12 +66,12 @@ class BrickState:
     Attributes
     ----------
     grid
-        Lattice of the positions in `places`.
+        Lattice on which the bricks lie.
     places
         Grid position of each copied brick, shape (n, 3).
     rows
-        Values of the copied bricks in the arrays that carving changes, as a dictionary by array
-        name.
+        Dictionary with the values of the copied bricks. The keys are the names of the arrays that
+        carving changes.
     flags
         Flags of the copied bricks, see `BrickStore.touched`.
     """
@@ -102,7 +102,7 @@ class BrickStore:
         Volume from which the store was made, with the filled fractions before any cut. None if the
         store was filled part by part.
     start_steps
-        Sum of `remaining` in each layer before any cut, shape (layers,).
+        Sum of `remaining` over the voxels of each layer before any cut, shape (layers,).
     brick_of
         Brick row at each grid position, int32, shape (bx, by, bz), -1 where empty.
     remaining
@@ -111,9 +111,9 @@ class BrickStore:
         Distance of each voxel's centre to the solid that the tool has swept, uint16, shape
         (capacity, 512).
     middle
-        Copy of `swept`, uint16, shape (capacity, 512). The copy is made when the cuts in a voxel's
-        block become older cuts. Older cuts are all cuts except the most recent ones, see
-        `kernels.carving`.
+        Copy of `swept`, uint16, shape (capacity, 512). The copy of a block of 2 x 2 x 2 voxels is
+        made when cuts in this block become older cuts. Older cuts are all cuts except the most
+        recent cuts, see `kernels.carving`.
     older
         Distance of each voxel's centre to the solid that older cuts have swept, uint16, shape
         (capacity, 512).
@@ -123,10 +123,10 @@ class BrickStore:
         Distances to the original surface and to the nearest change of layer, packed in one word,
         uint16, shape (capacity, 512).
     alive
-        One bit for each block of 2 x 2 x 2 voxels: 1 if the block may hold bone or lies within two
-        voxels of bone, uint64, shape (capacity,).
+        Array with a bit for each block of 2 x 2 x 2 voxels, uint64, shape (capacity,). A bit is 1
+        if the block may hold bone or lies within two voxels of bone.
     touched
-        Flags of each brick, uint8, shape (capacity,). `kernels.bricks.LOST` is set if the brick
+        Bit flags of each brick, uint8, shape (capacity,). `kernels.bricks.LOST` is set if the brick
         lost material since the last call of `take_touched`. `kernels.bricks.REACHED` is set if a
         tool came near the brick since the last call of `keep_base`.
     places
@@ -152,7 +152,7 @@ class BrickStore:
 
     @classmethod
     def from_volume(cls, volume: VoxelVolume, *, device: str) -> "BrickStore":
-        """Store the bricks of ``volume`` that hold bone on ``device``."""
+        """Return a store on ``device`` with the bricks of ``volume`` that contain bone."""
         counts = tuple(-(-n // BRICK) for n in volume.shape)
         grid = BrickGrid(volume.origin_m, volume.spacing_m, counts, volume.layer_names)
         store = cls(grid, device=device)
@@ -175,7 +175,8 @@ class BrickStore:
 
         Returns
         -------
-        True if the device arrays were replaced. The kernel launches then have to be recorded again.
+        True if the device arrays were replaced. The caller must then record the kernel launches
+        again.
         """
         counts = tuple(-(-n // BRICK) for n in volume.shape)
         surface, layer, density, boundary = near_the_surface(volume)
@@ -234,7 +235,7 @@ class BrickStore:
         return grown
 
     def _append(self, rows: dict[str, NDArray[Any]]) -> bool:
-        """Write rows after the stored rows, and return True if the arrays had to grow.
+        """Append rows to the arrays, and return True if the arrays had to grow.
 
         For the first rows, the arrays get exactly the needed length. Later they grow to twice the
         needed length.
@@ -255,11 +256,11 @@ class BrickStore:
 
     @property
     def read_by_forces(self) -> list[Any]:
-        """Device arrays that the force kernels read, in the order of their arguments."""
+        """Device arrays that the force kernels read, in the order of the kernel arguments."""
         return [self.brick_of, self.material, self.nearby, self.older, self.alive]
 
     def take_touched(self) -> tuple[Ints, NDArray[np.uint16]]:
-        """Return rows and remaining fractions of the bricks that lost material since the last call.
+        """Return row numbers and fractions of the bricks that lost material since the last call.
 
         The cost is proportional to the number of these bricks, which is small in one tick.
         """
@@ -279,7 +280,7 @@ class BrickStore:
             array.assign(host)
 
     def begin(self, owner: object) -> None:
-        """Allow only this cutter to copy states.
+        """Allow only the cutter ``owner`` to copy and restore states.
 
         The next call of `state` stores a new base, see `keep_base`.
         """
@@ -287,9 +288,9 @@ class BrickStore:
         self._base = None
 
     def _require_owner(self, owner: object) -> None:
-        """Raise an error if a later cutter has called `begin`.
+        """Raise an error if another cutter has called `begin` after this cutter.
 
-        The later cutter may have cut the bone.
+        Copied states are then not valid, because the other cutter may have cut the bone.
         """
         if self._owner is not owner:
             raise InputError(
@@ -300,7 +301,7 @@ class BrickStore:
             )
 
     def keep_base(self) -> None:
-        """Store the present bricks as the base.
+        """Store a copy of the present bricks as the base of later states.
 
         A state stores only the bricks that a tool has reached since the base was stored.
         """
@@ -311,7 +312,7 @@ class BrickStore:
         self._send("touched", flags)
 
     def state(self, owner: object) -> BrickState:
-        """Copy the bricks that a cutter has reached since the base was stored.
+        """Return a copy of the bricks that a cutter has reached since the base was stored.
 
         The first call stores the base, see `keep_base`. The cost is proportional to the number of
         copied bricks.
@@ -330,7 +331,7 @@ class BrickStore:
         return BrickState(self.grid, self.places[rows], changed, flags[rows])
 
     def restore(self, state: BrickState, owner: object) -> None:
-        """Return to a copied state.
+        """Restore a state that `state` has returned.
 
         Raises
         ------
@@ -432,14 +433,14 @@ def voxels_of(places: Ints, rows: Ints, steps: Ints) -> tuple[Ints, Ints]:
 
 
 def _nearest(remaining: NDArray[np.uint16]) -> Bytes:
-    """Return stored 16-bit fractions, rounded to 8-bit fractions."""
+    """Convert stored 16-bit fractions to 8-bit fractions, with rounding."""
     return ((remaining.astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)).astype(
         np.uint8
     )
 
 
 def _filled_up(surface: Bytes, counts: tuple[int, ...]) -> Bytes:
-    """Return the stored surface distance padded to whole bricks.
+    """Return the stored distances to the surface, padded to whole bricks.
 
     A padded voxel has the distance of the nearest voxel of the volume plus the length of one voxel.
     Padded voxels are always outside the bone.
@@ -461,7 +462,7 @@ def _blocked(array: NDArray[Any], counts: tuple[int, ...]) -> NDArray[Any]:
 
 
 def _rows(bricks: NDArray[Any]) -> NDArray[Any]:
-    """Return bricks, shape (n, 8, 8, 8), as stored rows, shape (n, 512), block after block."""
+    """Convert bricks, shape (n, 8, 8, 8), to stored rows, shape (n, 512), block after block."""
     return (
         bricks.reshape(-1, 4, 2, 4, 2, 4, 2)
         .transpose(0, 1, 3, 5, 2, 4, 6)
@@ -470,7 +471,7 @@ def _rows(bricks: NDArray[Any]) -> NDArray[Any]:
 
 
 def _bricks(rows: NDArray[Any]) -> NDArray[Any]:
-    """Return stored rows, shape (n, 512), as bricks, shape (n, 8, 8, 8)."""
+    """Convert stored rows, shape (n, 512), to bricks, shape (n, 8, 8, 8)."""
     return (
         rows.reshape(-1, 4, 4, 4, 2, 2, 2)
         .transpose(0, 1, 4, 2, 5, 3, 6)

@@ -22,16 +22,16 @@ PATCH = 4
 MARGIN = 1
 """Number of layers of bricks around a patch that are voxelised but not stored.
 
-This margin is wider than the largest distance that a voxel of the patch stores.
+A voxel stores distances up to a limit. One brick is wider than this limit, so the stored distances
+of the patch are correct.
 """
 BYTES_WHILE_MADE = 3 * BYTES_PER_VOXEL
 """Memory per voxel while a patch is made [bytes].
 
-This memory includes the stored voxel, the spare length of the stored arrays, and the arrays from
-which the voxel is made.
+This memory includes the stored voxel, unused capacity of the stored arrays, and temporary arrays.
 """
 MOST_BRICKS = 2.5e8
-"""Largest number of positions on the lattice; `BrickStore.brick_of` then takes 1 GB."""
+"""Largest number of brick positions on the lattice; the table of positions then takes 1 GB."""
 
 
 class BricksOnDemand:
@@ -72,12 +72,17 @@ class BricksOnDemand:
         self._made = np.zeros(self._patches, bool)
 
     def make(self, boxes: Boxes) -> bool:
-        """Make all bricks that boxes touch; return True if kernel launches must be recorded again.
+        """Make all bricks that the boxes touch.
 
         Parameters
         ----------
         boxes
-            Lowest and highest corners in the anatomy's frame [m].
+            Lowest and highest corners in the anatomy's frame [m], each of shape (n, 3).
+
+        Returns
+        -------
+        True if the device arrays were replaced. The caller must then record the kernel launches
+        again.
         """
         wanted = self._wanted(boxes)
         self._require_memory(int(wanted.sum()))
@@ -94,7 +99,10 @@ class BricksOnDemand:
         return grown
 
     def _require_memory(self, patches: int) -> None:
-        """Check that a number of patches fits into the free memory."""
+        """Raise an error if a number of patches does not fit into the free memory.
+
+        A patch is a block of bricks.
+        """
         if patches == 0:
             return
         import psutil
@@ -121,10 +129,10 @@ class BricksOnDemand:
         return bool(self._made[low[0] : high[0], low[1] : high[1], low[2] : high[2]].all())
 
     def cut_parts(self) -> Iterator[tuple[VoxelVolume, Bytes]]:
-        """Yield the uncut voxels and the remaining fraction (255 = full) of each part that was cut.
+        """Yield the voxels before any cut and the remaining fractions of each part that was cut.
 
-        The parts are boxes. Neighbouring boxes share one layer of voxels, so that a surface between
-        voxel centres continues from one part to the next.
+        A fraction of 255 means a full voxel. The parts are boxes. Neighbouring boxes share one
+        layer of voxels, so an isosurface has no gap between them.
         """
         lost = self.store.touched.numpy()[: len(self.store.places)] & LOST
         at = self.store.places[np.flatnonzero(lost)]
@@ -162,14 +170,17 @@ class BricksOnDemand:
             yield volume, left
 
     def _voxels(self, low: Ints, high: Ints) -> VoxelVolume:
-        """Return the uncut voxels of the bricks between two positions on the lattice."""
+        """Return the voxels, before any cut, of the bricks between two positions on the lattice."""
         corners: Array = (self._first + np.stack([low, high])) * np.float64(self._brick_m)
         region = corners[0], corners[1]
         spacing_m = self.store.grid.spacing_m
         return voxelise(self.anatomy, spacing_m=spacing_m, region_m=region)
 
     def _wanted(self, boxes: Boxes) -> Flags:
-        """Return the patches that boxes touch and that are not made yet."""
+        """Return a mask of the patches that boxes touch and that are not made yet.
+
+        A patch is a block of bricks.
+        """
         patch_m = PATCH * self._brick_m
         low, high = (
             np.floor(corner / patch_m - self._first / PATCH).astype(np.int64) for corner in boxes
@@ -182,7 +193,7 @@ class BricksOnDemand:
 
 
 def _too_fine(spacing_m: float, share: float, requirement: str) -> InputError:
-    """Return the error for a spacing with `share` times the largest allowed number of voxels."""
+    """Return the error for a spacing that gives `share` times the allowed number of voxels."""
     # The suggestion is a tenth coarser than the largest number of voxels requires, rounded up to
     # 0.01 mm.
     fits_mm = np.ceil(1.1e5 * spacing_m * share ** (1.0 / 3.0)) / 100.0
@@ -190,9 +201,10 @@ def _too_fine(spacing_m: float, share: float, requirement: str) -> InputError:
 
 
 def _box_of(wanted: Flags) -> tuple[Ints, Ints]:
-    """Return the positions of the first patch in a box of wanted patches, and one after the last.
+    """Return the lowest and highest position of a box that contains only wanted patches.
 
-    The box is grown from the first wanted patch along z, then y, then x.
+    The highest position is exclusive. The box is grown from the first wanted patch along z, then y,
+    then x.
     """
     first = np.argwhere(wanted)[0]
     last = first + 1

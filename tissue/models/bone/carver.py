@@ -1,9 +1,9 @@
 """Removal of the bone that a moving tool reaches, during a run and in its replay.
 
-The bone at any tick of a run follows from the tool's poses. A replay carves the bone at these poses
-again, with the kernel that the run uses. The bricks (blocks of 8 x 8 x 8 voxels) of run and replay
-are bitwise equal. The bricks are divided into groups, which are visited in turn. In a tick, the
-bricks of some groups are carved at the present pose.
+The poses of the tool determine the bone at any tick of a run. A replay carves the bone at these
+poses again, with the kernel of the run. The bone of the replay is bitwise equal to the bone of the
+run. The bricks (blocks of 8 x 8 x 8 voxels) are divided into groups. In each tick, the bricks of
+the next few groups are carved at the present pose.
 """
 
 from math import ceil, sqrt
@@ -41,38 +41,39 @@ from tissue.models.tissue_model import ToolMotion
 Removal = Literal["subvoxel", "binary"]
 
 CARVE_LAG_M = 2.0e-5
-"""Largest motion of the tool between two visits of a brick [m]; chosen.
+"""Largest motion of the tool between two carvings of the same brick [m]; chosen.
 
 The motion is also limited to a quarter of a voxel. For a fast tool, the limit is `FAST_LAG_VOXELS`.
-The force hardly depends on the time of a visit, see `STEADY_GROUPS`.
+This delay of the carving hardly changes the force, see `STEADY_GROUPS`.
 """
 STEADY_GROUPS = 16
-"""Number of groups of bricks that a tick visits, unless `FAST_LAG_VOXELS` requires more; chosen.
+"""Largest number of groups of bricks carved in a tick, unless the tool is fast; chosen.
 
-Carving one group takes 20 us in the scene `pedicle`. At a speed of 16 mm/s, `CARVE_LAG_M` requires
-25 groups a tick. The reference is the force with visits of all groups in every tick, in the first
-2.5 s of `pedicle` with a simulated expert on a Touch. The RMS difference from the reference is 0.05
-% with 25 groups, 0.12 % with 16 groups and 0.15 % with 12 groups. In `milling` the differences are
-0.012, 0.007 and 0.006 %, in this order.
+For a fast tool, `FAST_LAG_VOXELS` sets the number. Carving one group takes 20 us in the scene
+`pedicle`. At a speed of 16 mm/s, `CARVE_LAG_M` requires 25 groups a tick. The reference is the
+force if all groups are carved in every tick. In the first 2.5 s of `pedicle`, with a simulated
+expert on a Touch device, the RMS difference from the reference is 0.05 % with 25 groups, 0.12 %
+with 16 groups and 0.15 % with 12 groups. In the scene `milling` the differences are 0.012 % (25
+groups), 0.007 % (16) and 0.006 % (12).
 """
 FAST_LAG_VOXELS = 0.4
-"""Largest motion of a fast tool between two visits of a brick [voxel]; chosen.
+"""Largest motion of a fast tool between two carvings of the same brick [voxel]; chosen.
 
-At this distance a ball with a radius of 10 voxels leaves ridges with a height of 0.002 voxel, a
-fifth of `kernels.older_cuts.RAMP`.
+A ball with a radius of 10 voxels that is carved at poses this far apart leaves ridges with a height
+of 0.002 voxel. This is a fifth of `kernels.older_cuts.RAMP`.
 """
 LONGEST_STEP_VOXELS = 0.5
-"""Longest motion between two carved poses [voxel]; the motion of a faster tool is divided."""
+"""Longest motion between two carved poses [voxel]; a longer motion in a tick is divided."""
 OLDER_LAG_M = 2.5e-4
 """Motion of the tool after which its cuts become older cuts [m]; chosen.
 
-Older cuts are all cuts except the most recent ones, see `kernels.carving`. The stored last poses of
-the tool cover a longer motion than this value, see `tissue.models.bone.recent_poses`.
+Older cuts are all cuts except the most recent cuts, see `kernels.carving`. The poses that are
+stored in `RecentPoses` must cover a longer motion than this value.
 """
 TURN = 0.9
 """Cosine of the smallest angle that counts as a change of direction (26 degrees); chosen.
 
-After such a change, some bone in front of the tool may already be cut.
+After such a change, the tool may reach bone that it has already cut.
 """
 WORKERS_CPU = 32
 WORKERS_GPU = 2048
@@ -80,7 +81,7 @@ WORKERS_GPU = 2048
 
 
 STATE = ("_motions", "_marks", "_travelled", "_turned", "_next_group", "_debt", "_behind")
-"""Names of the attributes that, with bricks and poses, form the state between two motions."""
+"""Names of the attributes in a copied state, which also contains the bricks and the poses."""
 
 
 class Carver:
@@ -99,17 +100,17 @@ class Carver:
         Warp device name.
     cores
         Number of processor cores that share large kernel launches; default: all cores. The result
-        does not depend on it.
+        is equal for any number of cores.
 
     Attributes
     ----------
     tool
         The cutter's distance table on the device.
     removed_steps
-        Decrease of the sum of `BrickStore.remaining` so far, by layer, shape (layers,).
+        Decrease so far of the sum of `BrickStore.remaining` in each layer, shape (layers,).
     changes
-        Number of visits of bricks and of calls of `restore` so far. While this number is constant,
-        the bone does not change.
+        Counter that increases when bricks are carved or a state is restored. While the counter is
+        constant, the bone does not change.
     """
 
     def __init__(
@@ -162,7 +163,7 @@ class Carver:
         self.record()
 
     def record(self) -> None:
-        """Record the kernel launch that carves the present arrays of the store."""
+        """Record the carving kernel for the present device arrays of the store."""
         store = self.store
         self._carve = SplitLaunch(
             carve,
@@ -224,10 +225,9 @@ class Carver:
         return sqrt(moved[:3].dot(moved[:3])) + self._lever * sqrt(moved[3:].dot(moved[3:]))
 
     def _turns(self, group: int, motion: Array) -> bool:
-        """Return True if a motion's direction differs from the stored direction of the group.
+        """Return True if a motion differs in direction from the stored motion of a group of bricks.
 
-        The stored direction is the direction after the group's last change of direction, see
-        `TURN`.
+        The stored motion is the motion after the last change of direction, see `TURN`.
         """
         before = self._motions[group]
         travelled = self._travelled - self._marks[group]
@@ -252,17 +252,17 @@ class Carver:
             self._visit(PHASES)
 
     def finish(self) -> None:
-        """Complete the carving that was spread over ticks."""
+        """Complete the carving that was postponed to later ticks."""
         if self._behind > 0:
             self._visit(PHASES)
 
     def state(self) -> State:
-        """Copy the state between two motions."""
+        """Return a copy of the cutter's state for `restore`."""
         poses = self._pose.host.copy()
         return {"bricks": self.store.state(self), "poses": poses, "own": copied(self, STATE)}
 
     def restore(self, state: State) -> None:
-        """Return to a copied state; `removed_steps` keeps its value."""
+        """Restore a state that `state` has returned; `removed_steps` keeps its present value."""
         self.store.restore(state["bricks"], self)
         self.changes += 1
         self._pose.host[:] = state["poses"]
@@ -313,18 +313,18 @@ def _revolution(table: DistanceTable, profile: Profile, *, device: str) -> Revol
 
 
 class CarvingReplay:
-    """Bone at the end of any tick of a run, bitwise equal to a run that ends in this tick.
+    """Bone at the end of any tick of a finished run, carved again at the poses of the run.
 
     Parameters
     ----------
     volume
         The bone before the first cut.
     cutter, removal
-        The tool, and its mode of removal (see `Carver`).
+        The tool, and the mode of removal (see `Carver`).
     poses
         Poses of the run, see `tissue.simulation.loop.PoseLog`.
     device
-        Warp device name. On the device of the run, the results are bitwise equal to the results of
+        Warp device name. With the device name of the run, the bone is bitwise equal to the bone of
         the run.
 
     Attributes
@@ -355,9 +355,9 @@ class CarvingReplay:
         self._cut = np.zeros(0, np.intp)  # True for bricks that differ from the start
 
     def at(self, tick: int) -> Bytes:
-        """Return the bone at the end of a tick, see `fraction`.
+        """Return the remaining fraction of every voxel at the end of a tick, see `fraction`.
 
-        A tick earlier than the tick of the last call restarts the replay at the first pose.
+        If the tick is earlier than in the last call, the replay restarts at the first pose.
         """
         last = int(np.searchsorted(self._poses[:, 0], tick, side="right"))
         if last < self._next:
@@ -380,11 +380,12 @@ class CarvingReplay:
         return self.fraction
 
     def removals(self) -> tuple[Ints, Ints]:
-        """Return the voxels whose fraction falls below half during the run, and the tick of each.
+        """Return the voxels that become less than half full in the run, and the tick of each voxel.
 
-        The indices have shape (n, 3), and the ticks increase. A voxel that was below half before
-        the first cut is not included. Under a slow tool the bricks are carved in turn. A removal
-        may therefore be recorded late, after up to 20 µm of further tool motion.
+        The indices of the voxels have shape (n, 3). The ticks have shape (n,) and increase. Voxels
+        that were less than half full before the first cut are not included. Carving may lag behind
+        a slow tool. A removal may therefore be recorded late, after up to 20 µm of further tool
+        motion.
         """
         self._carver.restore(self._start)
         self._store.take_touched()

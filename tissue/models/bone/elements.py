@@ -53,7 +53,8 @@ def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: 
 def _in_lanes(rows: Array) -> Array:
     """Arrange values of cutting elements, shape (n, k), in lanes, shape (groups, k, LANES).
 
-    The last group is filled up with zeros. These elements do not cut, because their normal is zero.
+    The last group is filled up with zeros. The added elements do not cut, because their normal is
+    zero.
     """
     padded = np.pad(rows, ((0, -len(rows) % LANES), (0, 0)))
     return padded.reshape(-1, LANES, rows.shape[1]).transpose(0, 2, 1)
@@ -109,29 +110,30 @@ def _chunk_bounds(shell: PointShell) -> tuple[Array, Array]:
 
 
 CREEP_M_S = 5e-5
-"""Largest speed at which a cutting element reaches its full edge force [m/s]; chosen.
+"""Speed at which a cutting element of a tool on a haptic device reaches its full edge force [m/s].
 
-The limit applies to a tool on a haptic device. A tool that is pressed with a fraction of its full
-edge force moves slowly, at the same fraction of this speed.
+The value is chosen. Below this speed the edge force is proportional to the speed. A tool that is
+pressed with half of its full edge force therefore moves at half of this speed.
 """
 
 
 class CuttingForces:
     """Cutting forces on the elements of a tool in bone.
 
-    The bone in front of the elements is found once for each pose. The forces can then be computed
-    for any velocity; they are summed over chunks (groups) of elements.
+    `find_bone` searches the bone in front of the elements once for each pose. `sums` then computes
+    the forces for any velocity.
 
     Parameters
     ----------
     store, tool
-        Bone, and the tool's distance table on the device.
+        Voxels of the bone, and the tool's distance table on the device.
     elements, coefficients
         Cutting elements of the tool, and cutting coefficients, on the device.
     pose, recent
-        Present pose and last poses, in the layout that `kernels.engagement.find_bone` reads.
+        Present pose and most recent poses of the tool, in the layout that
+        `kernels.engagement.find_bone` reads.
     motion
-        Velocities, in the layout that `kernels.cutting.cutting_forces` reads.
+        Velocities of the tool, in the layout that `kernels.cutting.cutting_forces` reads.
     chip_per_speed_s
         Chip thickness divided by the feed speed along the normal [s].
     cores
@@ -145,7 +147,7 @@ class CuttingForces:
     find_bone
         Recorded kernel launch that searches the bone in front of the elements.
     slopes
-        Index of the first derivative in the result of `sums`, see `kernels.cutting.VALUE`.
+        Index of the first derivative in the array that `sums` returns, see `kernels.cutting.VALUE`.
     """
 
     def __init__(
@@ -196,7 +198,7 @@ class CuttingForces:
         self.record()
 
     def record(self) -> None:
-        """Record the kernel launch that searches the present arrays of the store."""
+        """Record the search kernel for the present device arrays of the store."""
         self.find_bone = SplitLaunch(
             find_bone,
             self._chunks,

@@ -41,7 +41,7 @@ MIDDLE = 0.5 * HIGHEST_EXPONENT
 ERROR = 1e-8
 """Largest relative error of an element's interpolated density factor.
 
-The value is a hundredth of the tolerance for loads that are recomputed from stored nodes.
+Loads that are recomputed from stored nodes may have an error of a hundred times this value.
 """
 MOST_NODES = 64
 """Upper limit of the number of nodes; densities of 1 to 20,000 kg/m3 need 38 nodes."""
@@ -56,8 +56,8 @@ class DensityNodes:
     densities_kg_m3
         Densities of the nodes [kg/m3], shape (k,).
     shares
-        M_j / `middle_kg_m3` ** c of a single element with weight 1, for each density of the
-        strength table, shape (DENSITIES, k).
+        Weights that distribute an element of each tabulated density to the nodes, shape (DENSITIES,
+        k). A weight is M_j / `middle_kg_m3` ** c for one element of weight 1, see the module.
     """
 
     densities_kg_m3: Array
@@ -96,9 +96,9 @@ class DensityNodes:
         return (factor * self.densities_kg_m3 / reference_kg_m3) ** exponent * tilt
 
     def logarithms(self, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
-        """Return ln(factor density / reference) at the nodes, shape (k,).
+        """Return ln(factor * density / reference) at the nodes, shape (k,).
 
-        The derivative of the strength with respect to the exponent contains this factor.
+        This logarithm is a factor of the derivative of the strength with respect to the exponent.
         """
         return np.log(factor * self.densities_kg_m3 / reference_kg_m3)
 
@@ -129,14 +129,14 @@ CHIP_RATIO = 1.3
 """Ratio between neighbouring nodes of chip thickness.
 
 For a force proportional to the thickness to the power 1 - m, the relative error of the
-interpolation is at most m (1 - m) ln(ratio) ** 2 / 8. This is 0.2 % for m = 0.5.
+interpolation is at most m (1 - m) ln(ratio) ** 2 / 8. For m = 0.5 this bound is 0.2 %.
 """
 THINNEST = 1e-3
-"""Ratio of the smallest node of chip thickness above zero to the largest node; chosen."""
+"""Smallest nonzero node of chip thickness, divided by the largest node; chosen."""
 
 
 LINEAR_CHIPS_M = np.array([0.0, THICKEST_M])
-"""Nodes of chip thickness [m] for a law linear in the thickness: any two nodes are exact."""
+"""Nodes of chip thickness [m] for a linear law, which any two nodes interpolate exactly."""
 
 
 def chip_nodes(thickest_m: float) -> Array:
@@ -161,12 +161,12 @@ def _interpolation(nodes_m: Array, thickness_m: Array, lengths: Array) -> csr_ar
 
 
 class EngagedElements:
-    """Cutting elements that engage bone, and the bone that they engage.
+    """Cutting elements that are in contact with bone, and the bone in front of these elements.
 
     Parameters
     ----------
     bone
-        Bone model with the cutter and the bone.
+        Model of the bone and of the cutter.
     """
 
     def __init__(self, bone: BoneModel) -> None:
@@ -193,7 +193,7 @@ class EngagedElements:
         """Return the points where the cutter cuts, with outward normals and relative powers.
 
         Points [m] are in the world frame. The power of an element is its tangential force times its
-        speed, which is the spin times its radius.
+        speed. The speed is the spin times the radius of the element.
         """
         share, advance, layer, density = self.find(motion)
         met = np.flatnonzero(share)
@@ -229,14 +229,15 @@ class EngagedElements:
 
 
 class EngagedBone(MilledTissue):
-    """Bone model that returns unit loads, to which any cutting law can be applied, and no force.
+    """Bone model that computes unit loads on the tool instead of the cutting force.
 
-    The given bone model carves the bone.
+    A unit load is the load on the tool from a force of 1 N per metre of cutting edge. The unit
+    loads determine the cutting force for any cutting law.
 
     Parameters
     ----------
     bone
-        The bone model that carves. Its cutting coefficients are not used.
+        The bone model that removes bone. The cutting coefficients of this model are not used.
     chips_m
         Nodes of chip thickness [m], shape (k,), see `chip_nodes`.
 
@@ -245,9 +246,9 @@ class EngagedBone(MilledTissue):
     nodes
         Nodes of density of each layer, at which `unit_loads` are computed.
     unit_loads
-        Array of shape (nodes, 3 k, 6) for each layer, computed in the last `respond`: force [N] and
-        torque about the tip [N m] on the tool, in the world frame. The loads result from a force of
-        1 N per metre of cutting edge, at each node of chip thickness and in each of the
+        Array of shape (nodes, 3 k, 6) for each layer, computed in the last call of `respond`. A row
+        holds the force [N] and the torque about the tip [N m] on the tool, in the world frame.
+        There is a row for each density node, each node of chip thickness and each of the
         `DIRECTIONS`. `DensityNodes.strengths` returns the weights of the nodes for a density
         exponent.
     asked
@@ -279,7 +280,7 @@ class EngagedBone(MilledTissue):
         self._elements = EngagedElements(bone)
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Return engaged areas and rate of removal; the force is zero.
+        """Return the area of the tool in bone and the rate of removal; the force is zero.
 
         `unit_loads` are computed at the motion's speed.
         """
@@ -324,7 +325,7 @@ def _sums(weights: csr_array, levers: Array, shares: Array, motion: ToolMotion) 
 PLUNGE_ELEMENTS = 40_000
 """Number of cutting elements of a cutter in a plunge.
 
-This is four times the number that gives an error of 0.1 % in a run.
+In a run, a quarter of this number gives a force error of 0.1 %.
 """
 LEAST_ADVANCE = 1e-6
 """Advance per unit of feed below which an element lies on the cutter's side and does not cut."""

@@ -15,28 +15,28 @@ et al. 2022, Chinese Journal of Mechanical Engineering 35).
 
 
 class LawLimits:
-    """Check of the feed per tooth and of the smooth surface of a tool in bone, in every tick.
+    """Check, in every tick, that the cutting law is valid for the feed and the surface of the tool.
 
     Parameters
     ----------
     cutter
         The tool.
     smooth
-        Surface of the tool that does not cut; None without such a surface.
+        Part of the tool's surface that does not cut; None if the whole surface cuts.
 
     Attributes
     ----------
     notices
-        One sentence for each limit, added when the limit is first exceeded. The loop removes the
-        sentences that it logs.
+        One sentence for each limit, added when the limit is first exceeded. The simulation loop
+        logs a sentence and then removes it.
     passed
-        Sentences of all limits that were exceeded, as a dictionary by subject.
+        Dictionary with a sentence for each limit that was exceeded. The key names the limit.
     thickest_m
         Largest feed per tooth in bone so far [m].
     """
 
     STATE = ("passed", "thickest_m")
-    """Attributes that later ticks depend on."""
+    """Names of the attributes on which later ticks depend."""
 
     def __init__(self, cutter: Cutter, smooth: SmoothSurface | None) -> None:
         self._cutter = cutter
@@ -52,7 +52,7 @@ class LawLimits:
         self.thickest_m = 0.0
 
     def check(self, motion: ToolMotion, engaged_m2: float, *, is_new: bool) -> None:
-        """Check the limits for one response.
+        """Check the limits for the tool's present motion and its area in bone [m2].
 
         `is_new` is True if the tool or the bone has changed since the last response.
         """
@@ -85,6 +85,6 @@ class LawLimits:
             )
 
     def _pass(self, about: str, sentence: str) -> None:
-        """Record a limit that is exceeded."""
+        """Record that the limit with the name `about` is exceeded."""
         self.passed[about] = sentence
         self.notices.append(sentence)

@@ -41,7 +41,7 @@ class BoneModel:
     cutter
         The tool.
     coefficients
-        Cutting coefficients of each layer, in the order of the bone's layers.
+        Cutting coefficients for each layer of the bone.
     removal
         ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` removes whole voxels by
         their centres.
@@ -51,13 +51,13 @@ class BoneModel:
         Warp device name.
     cores
         Number of processor cores that share large kernel launches; default: all cores. The result
-        does not depend on it.
+        is equal for any number of cores.
 
     Attributes
     ----------
     limits
-        Check of the cutting law's validity. The check reports smooth surfaces in bone, and chips
-        that are too thick.
+        Check of the cutting law's validity. The check reports chips that are too thick, and bone in
+        contact with a part of the tool that does not cut.
     """
 
     def __init__(
@@ -168,7 +168,7 @@ class BoneModel:
         self._recent.add(motion)
 
     def state(self) -> State:
-        """Copy the state that later ticks depend on."""
+        """Return a copy of the state on which later ticks depend."""
         return {
             "carver": self.carver.state(),
             "removed_steps": self.removed_steps.copy(),
@@ -177,7 +177,7 @@ class BoneModel:
         }
 
     def restore(self, state: State) -> None:
-        """Return to a copied state."""
+        """Restore a state that `state` has returned."""
         self.carver.restore(state["carver"])
         self._found = None
         self._summed = b""
@@ -186,7 +186,7 @@ class BoneModel:
         put_back(self.limits, state["limits"])
 
     def take(self, motion: ToolMotion) -> None:
-        """Write a pose and motion to `motion_rows`."""
+        """Take over the pose and the direction of motion of the tool."""
         self._take_pose(motion.tip_m, motion.rotation)
         np.dot(motion.heading, motion.rotation, out=self._velocities)
         self._pose.host[6] = 0.0, self._recent.turns, 0.0
@@ -260,7 +260,7 @@ class BoneModel:
         return sums[:RATE], sums[self._forces.slopes :].reshape(unknowns, 6).T
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Return the cutting force at the motion's pose, and its derivative by speed."""
+        """Return the cutting force, and its derivative with respect to the speed."""
         response = self._response
         speed = motion.speed_m_s
         is_new = True
@@ -287,7 +287,7 @@ class BoneModel:
     def _sum_along(self, motion: ToolMotion) -> bool:
         """Find the bone and sum the forces for a motion.
 
-        Return True if the sums were computed anew.
+        Return False if pose, velocity and bone have not changed, so that the last sums are valid.
         """
         is_new = self._find_along(motion)
         speed = motion.speed_m_s if motion.tangent_m_s is None else motion.tangent_m_s
@@ -304,7 +304,10 @@ class BoneModel:
         return is_new
 
     def _find_along(self, motion: ToolMotion) -> bool:
-        """Find the bone in front of the elements that advance; return True after a new search."""
+        """Find the bone in front of the elements that move outwards.
+
+        Return True after a new search, or False if the last result is still valid.
+        """
         self.take(motion)
         asked = self._pose.host.tobytes(), self.carver.changes
         is_new = asked != self._found
@@ -315,7 +318,7 @@ class BoneModel:
         return is_new
 
     def found_along(self, motion: ToolMotion) -> Array:
-        """Return the bone in front of the elements that advance, shape (FOUND, elements).
+        """Return the bone in front of the elements that move outwards, shape (FOUND, elements).
 
         The rows are listed at `kernels.engagement.DISTANCE`. The number of elements is padded to a
         multiple of `LANES`.
@@ -325,7 +328,7 @@ class BoneModel:
         return found.transpose(1, 0, 2).reshape(FOUND, -1)
 
     def finish(self) -> None:
-        """Complete the carving that was spread over ticks."""
+        """Complete the carving that was postponed to later ticks."""
         self.carver.finish()
 
     def remaining(self) -> Bytes:
@@ -337,7 +340,7 @@ class BoneModel:
 
 
 class MilledTissue:
-    """Base class of tissues that a bone model carves and that add further results.
+    """Base class of tissues that are carved by a bone model and that compute further results.
 
     Parameters
     ----------
@@ -368,7 +371,7 @@ class MilledTissue:
         self.milling.advance(motion)
 
     def finish(self) -> None:
-        """Complete the carving that was spread over ticks."""
+        """Complete the carving that was postponed to later ticks."""
         self.milling.finish()
 
 

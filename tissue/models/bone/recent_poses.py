@@ -14,11 +14,11 @@ RINGS = (
     (12, 4e-6),
     (24, 2.4e-5),
 )
-"""Ring buffers of the last poses: number of poses, and distance of poses on the path [m]; chosen.
+"""Number of poses and distance between poses on the path [m] of each ring buffer; chosen.
 
 Together the ring buffers cover a longer path than `tissue.models.bone.carver.OLDER_LAG_M`. A tool
 that returns along its path meets bone too early by at most the distance between two poses. Between
-two poses 24 um apart, a ball of 1 mm radius appears to leave a ridge of 0.07 um of bone.
+two poses 24 um apart, the model assumes a ridge of 0.07 um of bone under a ball of 1 mm radius.
 """
 ROUNDING = 1e-9
 """Largest change of the tool's axis that is treated as rounding of its rotation [rad]."""
@@ -40,14 +40,14 @@ class RecentPoses:
     Attributes
     ----------
     mirror
-        Displacements and rotations of the stored poses relative to the pose of `seen_from`, in the
-        layout that `kernels.engagement.find_bone` reads.
+        Displacements and rotations of the stored poses relative to the pose in the last call of
+        `seen_from`. The layout is defined by `kernels.engagement.find_bone`.
     turns
-        True if the tool's axis has changed direction since `place`.
+        True if the tool's axis has changed its direction since the last call of `place`.
     """
 
     STATE = ("_poses", "_rings", "turns")
-    """Attributes that later ticks depend on."""
+    """Names of the attributes on which later ticks depend."""
 
     def __init__(self, lever_m: float, *, device: str) -> None:
         # tip [m] and axis of each pose
@@ -69,8 +69,8 @@ class RecentPoses:
     def add(self, motion: ToolMotion) -> None:
         """Add a pose at which the tool has cut.
 
-        In each ring buffer, the present pose takes one place. The next pose overwrites this place,
-        unless the present pose lies at least the distance in `RINGS` from the pose stored before.
+        Each ring buffer stores the present pose as its last entry. The next pose overwrites this
+        entry if the entry is closer to the entry before than the distance in `RINGS`.
         """
         pose = self._pose_of(motion)
         for ring, (_, spaced_m) in zip(self._rings, RINGS, strict=True):
@@ -89,14 +89,14 @@ class RecentPoses:
                 self._poses[ring[0]] = pose
 
     def _pose_of(self, motion: ToolMotion) -> Array:
-        """Return tip and axis of a motion, in an array that the next call overwrites."""
+        """Return tip position and axis of the tool, in an array that the next call overwrites."""
         pose = self._pose
         pose[:3] = motion.tip_m
         pose[3:] = motion.rotation[:, 2]
         return pose
 
     def seen_from(self, tip_m: Array, rotation: Array) -> None:
-        """Write the last poses, relative to a given pose, to `mirror`, present pose first."""
+        """Write the stored poses relative to a given pose to `mirror`, present pose first."""
         rows = self.mirror.host
         np.dot(self._poses[:, :3] - tip_m, rotation, out=self._moved)
         rows[1:, :3] = self._moved

@@ -11,18 +11,18 @@ from tissue.cutters.cutter import Cutter
 from tissue.models.tissue_model import TICK_S, StopsReporting, ToolMotion
 
 MOST_POINTS = 1000
-"""Largest number of points of the tool that are compared with the tissue.
+"""Largest number of points on the tool that are tested for tissue outside the region.
 
-Without this limit a ball burr has 805 points. A drill of 30 mm has 7593 points; their comparison
-takes 20 ms in the vertebra.
+Without this limit a ball burr has 805 points. A drill of 30 mm has 7593 points; a test of all these
+points takes 20 ms in the vertebra scene.
 """
 
 
 class RegionEnd:
     """Detector of a tool that leaves the simulated region of a tissue.
 
-    The region is made around the scripted motion. A tool that a hand moves can leave this region
-    where the tissue continues. Beyond the region there are no voxels and no forces, so later
+    The region contains the planned motion. A tool that is moved by a hand can leave the region at a
+    place where the tissue continues. Outside the region there are no voxels and no forces, so later
     results are not valid.
 
     Parameters
@@ -37,7 +37,7 @@ class RegionEnd:
         The whole anatomy, in the frame of the region. If None, tissue at the end of the region is
         assumed to continue beyond the region.
     reporters
-        Objects that stop reporting when the tool has left the region.
+        Objects whose `stop_reporting` is called when the tool leaves the region.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class RegionEnd:
         return None if self.left_tick is None else self.left_tick * TICK_S
 
     def sufficient_margin_mm(self, tips_m: Array, axes: Array) -> float:
-        """Return a value of ``voxels.margin_mm`` whose region contains a motion.
+        """Return a value of ``voxels.margin_mm`` with which the region contains a motion.
 
         The value is rounded up to 0.1 mm.
 
@@ -101,7 +101,7 @@ class RegionEnd:
         return ceil(10.0 * (self._margin_mm + 1e3 * beyond_m - 1e-9)) / 10.0
 
     def check(self, tick: int, motion: ToolMotion) -> str:
-        """Return an event in the tick in which the tool leaves the region, and "" otherwise."""
+        """Return a sentence in the tick in which the tool leaves the region, otherwise ""."""
         if self.left_tick is not None or not self._has_left(motion.tip_m, motion.rotation):
             return ""
         self.left_tick = tick
@@ -114,7 +114,7 @@ class RegionEnd:
         )
 
     def _has_left(self, tip_m: Array, rotation: Array) -> bool:
-        """Return whether a part of the cutting surface lies in tissue beyond the region."""
+        """Return True if a part of the cutting surface lies in tissue outside the region."""
         # A cylinder around the tool is in the region at nearly every tick. This test takes
         # about 20 us, and the test of all points 0.1 to 2 ms.
         low, high = self._box(tip_m, rotation[:, 2])
@@ -126,16 +126,17 @@ class RegionEnd:
         return bool(self._in_tissue(beyond).any())
 
     def _box(self, tip_m: Array, axis: Array) -> tuple[Array, Array]:
-        """Return the lowest and the highest corner of a box around a cylinder around the tool.
+        """Return the lowest and highest corner [m] of a box that contains the tool.
 
-        Tip, axis and corners have the shape (3,) for one pose, and (n, 3) for several poses.
+        The box contains the tool's bounding cylinder. Tip, axis and corners have the shape (3,) for
+        one pose, and (n, 3) for several poses.
         """
         radius_m = self._radius_m * np.sqrt(np.maximum(1.0 - axis**2, 0.0))
         first, last = (tip_m + end * axis for end in self._ends_m)
         return np.minimum(first, last) - radius_m, np.maximum(first, last) + radius_m
 
     def _in_tissue(self, points_m: Array) -> Flags:
-        """Return which points lie in tissue, shape (n,)."""
+        """Return a mask of the points that lie in tissue, shape (n,)."""
         if self._tissue is None:
             at = np.floor((points_m - self._volume.origin_m) / self._volume.spacing_m).astype(int)
             at = np.clip(at, 0, np.array(self._volume.shape) - 1)

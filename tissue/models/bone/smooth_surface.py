@@ -16,16 +16,17 @@ from tissue.models.bone.elements import CuttingForces, elements_of
 SMOOTH_ELEMENTS = 500
 """Number of elements on the surface that does not cut; chosen."""
 BLOCKED = 0.25
-"""Largest share of a smooth end's area that may lie in bone without a warning; chosen.
+"""Area in bone that causes a warning, divided by the area of the smallest smooth end; chosen.
 
-The share is not zero, because a peg touches the rim of its pilot hole.
+A smooth end is a flat end face that does not cut. The value is not zero, because a peg may touch
+the rim of its pilot hole.
 """
 SINK_M_S = 2e-3
 """Speed at which a smooth surface reaches its full pressure [m/s]; chosen.
 
 A peg with a contact area of 10 mm2 sinks at 4 um/s under 10 N. With 5e-5 m/s, the force balance of
-the tool takes up to 21 evaluations of the forces a tick instead of up to 7. This was measured once,
-in the first 3 s of `glenoid` with a simulated expert on a Touch.
+the tool needs up to 21 force evaluations per tick instead of 7. The numbers were measured once, in
+the first 3 s of the scene `glenoid` with a simulated expert on a Touch device.
 """
 HARDNESS_Pa = 5e8
 """Pressure under which a smooth surface sinks into bone of the reference density [Pa]; assumed.
@@ -44,7 +45,7 @@ class SmoothSurface:
     """Part of a tool's surface that does not cut.
 
     For a tool on a prescribed path, only the area of this surface in bone is computed. For a tool
-    on a haptic device, the contact of this surface with bone is rigid and perfectly plastic.
+    on a haptic device, the bone under this surface is rigid and perfectly plastic.
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ class SmoothSurface:
     tool
         The tool's distance table on the device.
     pose, recent, motion
-        See `CuttingForces`.
+        Pose, most recent poses and velocities of the tool, see `CuttingForces`.
     strength
         Strength of each layer as a function of density, see `Coefficients`.
 
@@ -107,7 +108,7 @@ class SmoothSurface:
     def is_blocked(self) -> bool:
         """True if more than `blocked_m2` of the surface lies in bone.
 
-        The missing force of this surface is then not negligible.
+        A model that neglects the force on this surface is then not valid.
         """
         self.forces.find_bone()
         return float(self.forces.sums()[AREA : self.forces.slopes].sum()) > self.blocked_m2

@@ -27,7 +27,7 @@ and Dewey 1984, doi 10.1016/0360-3016(84)90379-1.
 NEGLIGIBLE_C = 39.0
 """Temperature below which the dose is neglected [degC].
 
-The dose rate at this temperature is 0.004 min/min.
+The dose rate at this temperature is 0.004 min of dose per min.
 """
 FRONT_M = 1e-3
 """Margin around the points where the tool cuts [m]; a dose inside the margin raises no event.
@@ -54,12 +54,11 @@ def dose_rate(temperature_C: Array) -> Array:
 class HeatedBone(MilledTissue):
     """Bone that a cutter mills and heats: the bone model, extended by the temperature of the bone.
 
-    Every row of the trace has the largest temperature rise in the bone at that time. The summary
-    describes the bone that remains after the run. The summary has the largest temperature rise
-    during the run, and the largest rise at 0.5 mm from the cut surface. For each limit of the dose,
-    the summary has the volume of bone beyond the limit, and the largest distance of this bone from
-    the cut surface. An event reports that the dose exceeds a limit in bone that the tool has left
-    behind.
+    The trace contains the largest temperature rise in the bone at every tick. The summary describes
+    the bone that remains after the run. It contains the largest temperature rise during the run,
+    and the largest rise at 0.5 mm from the cut surface. For each dose limit, it contains the volume
+    of bone above the limit, and the largest distance of this bone from the cut surface. An event
+    reports that the dose exceeds a limit in bone that the tool has left behind.
 
     Parameters
     ----------
@@ -90,7 +89,7 @@ class HeatedBone(MilledTissue):
 
     @property
     def heat_balance_J(self) -> dict[str, float]:
-        """Energy of cutting [J], and its parts in chips, removed material and remaining tissue."""
+        """Energy of cutting, and energies in chips, removed material and remaining tissue [J]."""
         return self.heat.balance_J
 
     def respond(self, motion: ToolMotion) -> Response:
@@ -103,13 +102,13 @@ class HeatedBone(MilledTissue):
         return response
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Advance the heat conduction at the end of a tick."""
+        """Advance the heat conduction by one tick; called at the end of a tick."""
         assert self._response is not None
         if self.heat.add_tick(self._response.wrench, motion, self.milling.store.take_touched):
             self._record()
 
     def finish(self) -> None:
-        """Complete the carving and the heat conduction that were spread over ticks."""
+        """Complete the carving and the heat conduction that were postponed to later ticks."""
         super().finish()
         if self.heat.end(self.milling.store.take_touched):
             self._record()
@@ -130,7 +129,7 @@ class HeatedBone(MilledTissue):
         return {"bone_heat": self._summary}
 
     def _record(self) -> None:
-        """Update largest rise and dose of every cell with the present temperature."""
+        """Update the largest temperature rise and the thermal dose of every cell."""
         field = self.heat.field
         rise = field.rise_K
         minutes = (field.time_s - self._time_s) / 60.0
@@ -143,7 +142,7 @@ class HeatedBone(MilledTissue):
             self._report_dose(self._is_behind())
 
     def _is_behind(self) -> Flags:
-        """Return a mask of the grid's cells that contain bone behind the moving tool."""
+        """Return a mask of the grid's cells that contain bone which the tool has left behind."""
         is_left: Flags = self.heat.field.filled > 0.0
         points = self.heat.cut_points_m
         if len(points) == 0:
@@ -164,7 +163,10 @@ class HeatedBone(MilledTissue):
                 )
 
     def _remaining_figures(self) -> dict[str, float]:
-        """Return the largest rises, and volume and depth of each dose, in the remaining bone."""
+        """Return temperature rises of the remaining bone, and the extent of its thermal dose.
+
+        The extent is the volume of bone beyond each dose limit, and the depth of this bone.
+        """
         field = self.heat.field
         is_left = field.filled > 0.0
         depth_m = self._depths_m()
@@ -183,8 +185,8 @@ class HeatedBone(MilledTissue):
     def _depths_m(self) -> Array:
         """Return the distance of each cell's centre from the material that was cut [m].
 
-        The distance is infinite for cells outside the voxel volume, and for all cells if nothing
-        was cut.
+        The distance is infinite for cells outside the voxel volume. If nothing was cut, it is
+        infinite for all cells.
         """
         volume = self.milling.store.volume
         assert volume is not None, "the bone under a scene's cutter is one volume"
@@ -203,7 +205,7 @@ class HeatedBone(MilledTissue):
 
 
 def _largest_at(depth_m: Array, wanted_m: float, values: Array, is_left: Flags) -> float:
-    """Return the largest value at a given depth, interpolated between neighbouring cells.
+    """Return the largest of `values` at a depth [m], interpolated between neighbouring cells.
 
     The result is 0 if no two neighbouring cells lie on opposite sides of this depth.
     """

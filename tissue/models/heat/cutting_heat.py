@@ -26,7 +26,7 @@ INTERVAL_TICKS = 20
 """Number of ticks in an interval of the heat computation.
 
 The peak temperature rise of the pulp in the molar scene is 0.617, 0.609 and 0.607 K for 5, 20 and
-40 ticks. The cutting elements in contact are searched once in each interval.
+40 ticks. The cutting elements in contact are determined once in each interval.
 """
 RECEIVES = 0.5
 """Smallest filled fraction at which a cell at the cut surface receives heat.
@@ -49,11 +49,11 @@ class CuttingHeat:
     A share of the cutting power flows into the tissue through the surface that the tool cuts. This
     share is distributed over the surface in proportion to the power of the cutting elements. The
     rest of the power leaves with chips, spray and tool. Material that is removed later carries away
-    the heat that it has received until its removal. The share is a prior of low confidence; the
-    temperature rise is proportional to the share.
+    the heat that it has received until its removal. The value of the share is uncertain. The
+    temperature rise is proportional to it.
 
-    Heat is computed in intervals of several ticks. `begin` takes the energy and the cuts of the
-    last interval. `go_to` spreads the time steps for this energy over the ticks of the next
+    Heat is computed in intervals of several ticks. `begin` receives the energy and the cuts of the
+    last interval. `go_to` computes the heating by this energy step by step during the next
     interval. The temperature therefore lags by one interval. `add_tick` is called in every tick of
     a run and calls `begin` and `go_to`. `end` completes an interval.
 
@@ -133,10 +133,9 @@ class CuttingHeat:
 
     @property
     def balance_J(self) -> dict[str, float]:
-        """Energy of cutting [J], and the parts into which it is divided.
+        """Energy of cutting, and the three energies into which it is divided [J].
 
-        The three parts are the energy in chips and spray, in removed material, and in the remaining
-        tissue.
+        The three energies are in chips and spray, in removed material, and in the remaining tissue.
         """
         return {
             "cutting": self.cutting_J,
@@ -146,7 +145,7 @@ class CuttingHeat:
         }
 
     def add_tick(self, wrench: Array, motion: ToolMotion, take_cuts: TakeCuts) -> bool:
-        """Add the energy of a tick and continue the present interval.
+        """Add the cutting energy of a tick, and continue the heat computation of the interval.
 
         Parameters
         ----------
@@ -155,7 +154,8 @@ class CuttingHeat:
         motion
             Pose and motion of the tool, the same object in every tick.
         take_cuts
-            Function that is called when the interval ends.
+            Function that returns the bricks that lost material since its last call. It is called
+            when the interval ends.
 
         Returns
         -------
@@ -206,8 +206,8 @@ class CuttingHeat:
         motion
             Pose and motion of the tool at the end of the last interval.
         cut
-            Rows of the bricks that lost material, and the remaining fraction of their voxels, 65535
-            = full.
+            Row numbers of the bricks (blocks of voxels) that lost material, and the remaining
+            fractions of the voxels in these bricks, 65535 = full.
         """
         self.finish()
         self.cutting_J += cutting_J
@@ -221,7 +221,10 @@ class CuttingHeat:
         self._done = 0
 
     def go_to(self, share: float) -> None:
-        """Run the time steps up to a share of the interval, and remove the cut material halfway."""
+        """Run the time steps up to a share (0 to 1) of the interval.
+
+        The cut material is removed in the middle of the interval.
+        """
         until = ceil(share * self._steps)
         while self._done < until:
             # In the middle, because the tool cuts during the whole interval.
@@ -246,9 +249,10 @@ class CuttingHeat:
         return self.grid.share_out(corners, size, volumes_m3) / self._volume_m3
 
     def _deposit(self, points_m: Array, normals: Array, weights: Array, tip_m: Array) -> None:
-        """Add the heat power to the cells at the cut surface, and store the excess temperature.
+        """Set the heat power of the cells at the cut surface, and store the excess temperature.
 
-        The excess temperature is the temperature of the surface minus the temperature of its cell.
+        The excess temperature is the temperature of the cut surface minus the temperature of the
+        heated cell.
 
         Parameters
         ----------
@@ -294,7 +298,7 @@ class CuttingHeat:
     def _remove(self) -> None:
         """Remove the cut material from the cells.
 
-        After the removal, the heat enters at the final position of the tool in the interval.
+        For the rest of the interval, the heat enters at the last position of the tool.
         """
         cells = np.flatnonzero(self._lost)
         if len(cells):

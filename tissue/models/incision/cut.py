@@ -1,4 +1,4 @@
-"""Plane cut by a straight edge: cut area, separation of the walls, force balance of the blade."""
+"""Cut in one plane by a blade with a straight edge: force balance, cut area, wall separation."""
 
 from math import floor, hypot
 
@@ -10,18 +10,19 @@ from tissue.models.incision.parameters import Blade, IncisedTissue
 COLUMNS = 512
 """Number of columns across the width of a blade that store the depth of the cut.
 
-A column stores one mean depth. For a pointed blade, the relative error of the cut area is therefore
-about half a column's width divided by the depth. The error is 0.2 % if the depth equals the blade's
-width.
+Each column stores one mean depth. For a pointed blade, the relative error of the cut area is
+therefore about half a column's width divided by the depth of the cut. The error is 0.2 % if the cut
+is as deep as the blade is wide.
 """
 CHUNK = 4 * COLUMNS
-"""Number of columns by which the stored part of a cut grows."""
+"""Number of columns that are added when the arrays of a cut grow."""
 SWEEPS = 12
 SETTLED_N = 1e-8
-"""Allowed error [N] in the search for the force balance, with at most `SWEEPS` sweeps.
+"""Allowed force error in the search for the force balance of the blade [N].
 
-A sweep solves for the force of the edge and then for the force of the sides. The search starts from
-the last balance. For an edge of 45 degrees each sweep halves the error.
+The search has at most `SWEEPS` sweeps. A sweep solves for the force of the edge, and then for the
+force of the sides. The search starts from the balance in the last step. For an edge of 45 degrees
+each sweep halves the error.
 """
 
 
@@ -30,9 +31,10 @@ class Cut:
 
     A point of the plane has the coordinates s along the surface and l along the blade's axis, into
     the tissue. The blade covers everything above its straight edge, so the cut is the region above
-    a depth profile along s. Columns of equal width store the mean depth of the cut, and the mean
-    depth over which the walls of the cut still touch the blade. New walls touch the blade. Walls
-    separate from the blade when the blade no longer covers them, and then stay apart.
+    a depth profile along s. Columns of equal width store two mean depths: the depth of the cut, and
+    the depth over which the walls of the cut touch the blade. New walls touch the blade. A wall
+    separates from the blade when the blade no longer covers it. A separated wall never touches the
+    blade again.
 
     Only the blade acts on the tissue, so the pull of the tissue equals the force of the blade, as
     in `tissue.models.needle.model.Insertion`. Let q be the position of the blade relative to the
@@ -52,10 +54,10 @@ class Cut:
     Attributes
     ----------
     place_m
-        Coordinates s and l of the blade's tip in the tissue [m].
+        Coordinates s and l of the blade's tip relative to the tissue [m], q in the equations.
     pull_N
-        Force of the tissue on the blade in the plane of the cut [N]: component along the surface,
-        and component out of the surface.
+        Force of the tissue on the blade in the plane of the cut [N]. The two components point along
+        the surface and out of the surface.
     area_m2
         Area cut so far [m2]; the two walls are counted once.
     touching_m2
@@ -99,7 +101,10 @@ class Cut:
         self.friction_J = 0.0
 
     def coordinates_m(self, tip_m: Array) -> tuple[float, float, float]:
-        """Return s and l of a point, and the distance of the point from the cut plane [m]."""
+        """Return coordinates s and l of a point, and its distance from the cut plane [m].
+
+        The coordinate s runs along the surface, and l along the blade's axis into the tissue.
+        """
         arm = tip_m - self.origin_m
         depth = -float(arm @ self.up) / self._cosine
         return float(arm @ self.along) + depth * self._sine, depth, float(arm @ self.across)
@@ -109,14 +114,14 @@ class Cut:
         return depth_m + max(self._slope * self.width_m, 0.0)
 
     def enter(self, along_m: float) -> None:
-        """Put the deepest point of the blade onto the surface."""
+        """Place the blade so that its deepest point touches the surface."""
         self.place_m = (along_m, -self.deepest_m(0.0))
         self.pull_N = (0.0, 0.0)
         self._forces_N = (0.0, 0.0)
         self._moved_m = 0.0
 
     def advance(self, along_m: float, depth_m: float) -> None:
-        """Move the tool to a position, and move the blade in the tissue to its force balance."""
+        """Move the tool to a position, and the blade in the tissue to its force balance."""
         start_s, start_l = self.place_m
         stiffness = self._tissue.stiffness_N_m
         # Components of u along the surface and out of the surface, which are orthogonal.
@@ -140,7 +145,7 @@ class Cut:
         self.pull_N = -stiffness * (across - moved_across), -stiffness * (out - moved_out)
 
     def profile_m(self) -> tuple[Array, Array]:
-        """Return coordinates s of the middles of the cut columns, and their mean depths [m]."""
+        """Return position along the surface and mean depth of each column of the cut [m]."""
         columns = np.arange(len(self._cut), dtype=np.float64)
         middles = self._spacing_m * (self._first + 0.5 + columns)
         cut = self._cut > 0.0
@@ -153,8 +158,8 @@ class Cut:
 
         The two values are the travel along the surface and the travel out of the surface. The
         resistance of the edge depends only on the travel of the edge into the tissue. The
-        resistance of the two sides, front and back, depends on the travel along the surface. The
-        forces of edge and sides are computed in turn.
+        resistance of the front and back side of the blade depends on the travel along the surface.
+        The force of the edge and the force of the sides are computed in turn.
         """
         stiffness = self._tissue.stiffness_N_m
         scale = self._tissue.toughness_J_m2 * self._cosine / stiffness
@@ -191,12 +196,12 @@ class Cut:
         )
 
     def _gaps_m(self, reach_m: float) -> tuple[Array, Array]:
-        """Return the gaps between the edge and uncut tissue, in rising order, and their widths [m].
+        """Return rising gaps between the edge and uncut tissue, and the widths of these gaps [m].
 
-        A gap is the travel at which a part of the edge reaches uncut tissue. The second array has
-        the widths of these parts. The width is zero for gaps beyond the reach. Columns that the tip
-        or the end of the edge passes in this step are left out. For this purpose, the blade is
-        assumed to move as in the last step.
+        A gap is the travel at which a part of the edge reaches uncut tissue. Its width is the width
+        of this part, or zero if the gap is larger than the reach. Columns that the tip or the end
+        of the edge passes in this step are left out. These columns are predicted from the motion in
+        the last step.
         """
         along, depth = self.place_m
         spacing = self._spacing_m
@@ -222,10 +227,11 @@ class Cut:
         return np.minimum(gaps[order], reach_m), widths[order]
 
     def _along_m(self, stretch_m: float, compliance: float) -> float:
-        """Return the travel along the surface [m] at which front or back side balances the stretch.
+        """Return the travel along the surface [m] at which a side of the blade balances the pull.
 
-        ``stretch_m`` is the component of u along the surface [m]. ``compliance`` is the stretch
-        that a side balances for each metre of its length in uncut tissue.
+        ``stretch_m`` is the distance along the surface from the blade to the tool [m]; the pull is
+        proportional to the stretch. ``compliance`` is the stretch that a side balances for each
+        metre of its length in uncut tissue.
         """
         along, depth = self.place_m
         spacing = self._spacing_m
@@ -250,10 +256,10 @@ class Cut:
             reached = bound
 
     def _part(self, along_m: float, depth_m: float) -> None:
-        """Move the blade to a position in the tissue, with the cut and the walls that result.
+        """Move the blade to a position in the tissue, and update the cut and its walls.
 
         Columns that the blade covers are cut. Walls that the blade no longer covers separate from
-        it.
+        the blade.
         """
         spacing = self._spacing_m
         first = floor(along_m / spacing)
@@ -284,9 +290,9 @@ class Cut:
     def _passed(self, along_m: float, depth_m: float) -> float:
         """Cut the columns that the deepest point of the edge has passed.
 
-        The columns are cut down to the depth of this point. This extra cut is needed because a
-        blade never covers a whole column down to the depth of its deepest point. Return the sum of
-        the added mean depths [m].
+        The columns are cut down to the depth of the deepest point. Without this extra cut the
+        columns would remain too shallow, because the deepest point never covers the whole width of
+        a column. Return the sum of the added mean depths [m].
         """
         start_s, start_l = self.place_m
         deepest = self.width_m if self._slope > 0.0 else 0.0

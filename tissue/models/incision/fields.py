@@ -1,12 +1,13 @@
-"""Opening of a cut, for display: displacement, strain and stress of a block with this cut.
+"""Displacement, strain and stress of a tissue block that shows the opening of a cut.
 
-The block is linear-elastic and split along the whole plane of the first cut. Where the blade has
-not cut, the two faces of the plane stay together. Where the blade has cut, the faces are free.
-There the stress across the cut, E / (1 - nu²) times the prestrain, is released. It acts as a
-traction that pulls the free faces apart. The bottom of the block, and its two sides parallel to the
-cut, do not move. The opening of a long cut is then close to the opening of an edge crack, which is
-5.8 times the prestrain times the depth (Tada, Paris and Irwin 2000). The pressure of the blade,
-other cuts and contact of the faces are not shown. No force depends on the block.
+The block is used only for display. It is linear-elastic and split along the whole plane of the
+first cut. Where the blade has not cut, the two faces of the plane stay together. Where the blade
+has cut, the faces are free. Cutting releases the stress across the cut, which is E / (1 - nu²)
+times the prestrain. This stress acts as a traction that pulls the free faces apart. The bottom of
+the block, and its two sides parallel to the cut, do not move. The opening of a long cut is then
+close to the opening of an edge crack, which is 5.8 times the prestrain times the depth (Tada, Paris
+and Irwin 2000). The fields do not include the pressure of the blade, other cuts, or contact between
+the faces. The force on the blade does not depend on the block.
 """
 
 from collections.abc import Sequence
@@ -39,11 +40,12 @@ DEEP = 5
 GROWTH = 1.4
 """Ratio of the length of a mesh edge to the length of the next edge towards the cut; chosen."""
 LARGEST_RATIO = 0.45
-"""Largest Poisson's ratio of the block: linear cells lock at larger ratios."""
+"""Upper limit of the Poisson's ratio of the block, because linear cells lock at larger ratios."""
 NEAR_M = 0.01
-"""Largest distance from the planned cut at which a cut by a simulated hand is drawn [m].
+"""Largest distance between a cut and the planned cut at which the cut is drawn [m].
 
-A cut within this distance is drawn at the position of the planned cut. The value is assumed.
+A simulated hand may miss the planned cut. Within this distance, its cut is drawn at the position of
+the planned cut. The value is assumed.
 """
 
 
@@ -54,11 +56,12 @@ class Track:
     Attributes
     ----------
     cut
-        Cut at the first entry of the tool. It defines the plane and the coordinates s and l.
+        Cut at the first entry of the tool. It defines the plane of the cut, the coordinate s along
+        the surface and the coordinate l along the blade's axis.
     ends_m
-        Smallest and largest coordinate s that the blade reaches [m].
+        Smallest and largest coordinate along the surface that the blade reaches [m].
     deepest_m
-        Largest depth coordinate l that the edge reaches [m].
+        Largest depth along the blade's axis that the edge reaches [m].
     """
 
     cut: Cut
@@ -69,7 +72,7 @@ class Track:
     def first_of(
         cls, tissue: IncisedTissue, blade: Blade, tips_m: Array, rotations: Array
     ) -> "Track | None":
-        """Return the first cut of a motion; None if the tip of the blade stays outside the tissue.
+        """Return the first planned cut of a motion, or None if the tip stays outside the tissue.
 
         Parameters
         ----------
@@ -118,15 +121,15 @@ def _half(track: Track) -> tuple[TetMesh, Ints, Array]:
 class IncisionFields:
     """Displacement, strain and stress of a tissue block that is split by the first cut of a motion.
 
-    In a tick in which a frame is due, only the profile of the cut is copied. The fields are
-    computed after the end of the run. Because of mirror symmetry, only half of the block is solved.
+    When a frame of the display is due, the tick only copies the profile of the cut. The fields are
+    computed after the end of the run. The block is symmetric, so only half of it is solved.
 
     Parameters
     ----------
     track
-        Planned cut.
+        Planned cut along which the block is split.
     tissue
-        Tissue.
+        Tissue that is cut.
     interval_s
         Time between two frames [s].
     """
@@ -177,7 +180,7 @@ class IncisionFields:
         )
 
     def compute(self) -> None:
-        """Solve the stored frames."""
+        """Solve for the fields at all stored times."""
         for time_s, middles, depths in self._kept:
             force = np.zeros((len(self._nodes), 3))
             force[:, 1] = self._forces_N(self._open(middles, depths))
@@ -200,7 +203,10 @@ class IncisionFields:
         return -at[:, 2] < depth.min(axis=0) * float(self._track.cut.axis[2]) - 1e-9
 
     def _forces_N(self, is_open: Flags) -> Array:
-        """Return the normal nodal forces [N] that open the cut and keep the other nodes closed."""
+        """Return the nodal forces normal to the cut plane [N].
+
+        These forces open the cut, and keep the other nodes on the plane.
+        """
         forces = self._traction_Pa * self._areas * is_open
         closed = ~is_open
         compliance = self._compliance
@@ -230,7 +236,7 @@ class IncisionFields:
         )
 
     def _mirrored(self, frame: Frame) -> Frame:
-        """Return the frame of the whole block, computed from the frame of the half block."""
+        """Return the fields of the whole block at one time, from the fields of the half block."""
 
         def both(values: Singles) -> Singles:
             mirrored = values * np.array([1.0, -1.0, 1.0], np.float32)

@@ -16,10 +16,10 @@ from tissue.models.tissue_model import Response, ToolMotion
 PLAY_M = 1e-3
 """Distance from a cut's plane up to which a blade in the cut feels no sideways force [m].
 
-The distance is about half the width of an open cut; chosen. A blade that enters within this
-distance moves in the existing cut. With a larger distance the blade can move further sideways
-without a force. With a smaller distance, a second pass by a simulated hand starts another cut next
-to the first cut.
+The value is chosen: it is about half the width of an open cut. A blade that enters the tissue
+within this distance of a cut moves in this cut. With a larger value, the blade could move too far
+sideways without a force. With a smaller value, a second pass by a simulated hand would start
+another cut next to the first cut.
 """
 
 
@@ -27,28 +27,30 @@ class IncisionModel:
     """Tissue under the plane z = 0 that a blade cuts.
 
     The force in the plane of the blade is computed by `tissue.models.incision.cut.Cut`. The plane
-    and the direction of a cut are those of the blade at its entry. Rotation of a blade inside the
-    tissue has no resistance and no effect. A blade does not cut across its plane. If the blade is
-    farther than `PLAY_M` from the plane of the cut, the tissue pushes the blade back elastically.
-    The stiffness of this force increases with the depth, up to a depth equal to the blade's width.
-    A blade moves in an earlier cut if its whole width enters within `PLAY_M` of the plane of this
-    cut, and if the blade points in the direction of the cut. Elsewhere the tissue is intact, also
-    where cuts cross. The force acts at the tip, without a torque.
+    and the direction of the blade at its entry define the plane and the direction of the cut.
+    Rotation of a blade inside the tissue has no resistance and no effect. A blade does not cut
+    sideways, across its plane. If the blade is farther than `PLAY_M` from the plane of the cut, the
+    tissue pushes the blade back elastically. The stiffness of this force increases with the depth,
+    up to a depth equal to the blade's width. A blade moves in an earlier cut if its whole width
+    enters within `PLAY_M` of the plane of this cut, and if the blade points in the direction of the
+    cut. Elsewhere the tissue is treated as intact, even where the blade crosses an earlier cut. The
+    force acts at the tip, so there is no torque about the tip.
 
     Not modelled are relaxation, dependence on speed, weight, blades with a blunt back, fibres and
     layers.
 
     The force does not depend on speed, and is returned as ``edge`` of the response. ``engaged_m2``
-    is the area of the two walls that touch the blade, plus the area of the edge. The measures are
-    the depth of the tip in the tissue [mm], the deflection of the tissue [mm], the cut area [mm2]
-    and the work of friction [mJ].
+    of the response is the area of the two walls that touch the blade, plus the area of the edge.
+    The ``measures`` of the response are the depth of the tip in the tissue [mm], the deflection of
+    the tissue [mm], the cut area [mm2] and the work of friction [mJ].
 
     Parameters
     ----------
     tissue, blade
         Tissue and blade.
     fields
-        Opening of the cut for display, or None for no display. The force does not depend on it.
+        Fields that show the opening of the cut, or None for no display. The force does not depend
+        on the fields.
 
     Raises
     ------
@@ -119,11 +121,11 @@ class IncisionModel:
             self._in = None
 
     def state(self) -> State:
-        """Copy the state that later ticks depend on."""
+        """Return a copy of the state on which later ticks depend."""
         return copied(self, ("cuts", "_in"))
 
     def restore(self, state: State) -> None:
-        """Return to a copied state."""
+        """Restore a state that `state` has returned."""
         put_back(self, state)
 
     def respond(self, motion: ToolMotion) -> Response:
@@ -156,13 +158,13 @@ class IncisionModel:
         return response
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Store the cut if a frame is due."""
+        """Store the profiles of the cuts if a frame of the display is due."""
         # 1e-9 s: the time of a tick is rounded.
         if self._fields is not None and time_s >= self._fields.next_s - 1e-9:
             self._fields.keep(time_s, self.cuts)
 
     def finish(self) -> None:
-        """Compute the fields of the stored frames."""
+        """Compute the displayed fields at all stored times, after the run."""
         if self._fields is not None:
             self._fields.compute()
 
@@ -177,7 +179,7 @@ class IncisionModel:
         return -tip - min(self.blade.width_m * edge, 0.0)
 
     def _entered(self, motion: ToolMotion) -> Cut:
-        """Return the earlier or new cut at the point where the blade enters the surface."""
+        """Return the cut in which the blade moves after it enters: an earlier cut or a new cut."""
         # The axis lies in the blade's plane, so the plane is steep if the axis is steep.
         rise = float(motion.rotation[2, 2])
         if rise < LEAST_COSINE:

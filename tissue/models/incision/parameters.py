@@ -20,7 +20,7 @@ class Blade:
     Attributes
     ----------
     width_m, thickness_m
-        Width along x, and thickness [m].
+        Width along x [m] and thickness [m].
     edge_rad
         Angle between edge and z axis [rad]: a right angle for a chisel, smaller for a pointed
         blade.
@@ -62,12 +62,13 @@ class IncisedTissue:
     friction_Pa
         Friction tau per area of each wall that touches the blade [Pa].
     stiffness_N_m
-        Force of the tissue on a blade divided by the deflection, equal in all directions [N/m].
+        Force of the tissue on a blade divided by the deflection of the tissue [N/m]. The value is
+        equal in all directions.
     young_Pa, poisson_ratio
-        Young's modulus [Pa] and Poisson's ratio of the drawn block.
+        Young's modulus [Pa] and Poisson's ratio of the tissue block that is drawn.
     prestrain
         Strain of the uncut tissue across the plane of the cut. The strain relaxes when the cut
-        opens. It affects only the width of the drawn cut.
+        opens. The prestrain affects only the width of the drawn cut.
     """
 
     name: str
@@ -99,10 +100,11 @@ def punch_stiffness_N_m(blade: Blade, *, young_Pa: float, poisson_ratio: float) 
 
 
 def secant_stiffness_N_m(force_N: float, *, constants: Materials) -> float:
-    """Return the secant stiffness [N/m] of the needle model's liver at a force.
+    """Return the secant stiffness of the needle model's liver at a given force [N/m].
 
-    The small-strain modulus of liver is not used. With this modulus, a half space under a blade
-    would deflect by centimetres, several times as much as the liver under the needle.
+    The stiffness is not computed from the small-strain modulus of liver. With this modulus, a half
+    space under a blade would deflect by centimetres, several times as much as the liver under the
+    needle.
     """
     liver = constants.values("needle", "liver")
     deflection = positive_root(1e6 * liver["quadratic_N_mm2"], 1e3 * liver["linear_N_mm"], force_N)
@@ -112,11 +114,10 @@ def secant_stiffness_N_m(force_N: float, *, constants: Materials) -> float:
 def incised_tissue(
     name: str, blade: Blade, *, constants: Materials = Materials.cited
 ) -> IncisedTissue:
-    """Return a tissue with the constants of `soft.toml`.
+    """Return the parameters of a tissue, with the material constants of the file `soft.toml`.
 
     The stiffness of skin is the stiffness of a half space, see `punch_stiffness_N_m`. The stiffness
-    of liver is taken from the needle model, at the force that cuts along the whole width of the
-    blade.
+    of liver is `secant_stiffness_N_m` at the force with which the whole width of the blade cuts.
     """
     found = constants.values("soft", name)
     young = 1e3 * found["modulus_kPa"]

@@ -1,11 +1,11 @@
 """Displacement, strain and stress of a tissue block that a needle deflects, for display.
 
 The needle's own model (`tissue.models.needle.model`) is one-dimensional. It computes the deflection
-of the organ at the needle and the inserted length. Here this deflection is applied to a
-linear-elastic block around the first track. The nodes along the inserted shaft are displaced along
-the needle's axis by the deflection. Before the puncture, only the node at the entry is displaced.
-The solver finds the nodal forces that cause these displacements. The force on the needle does not
-depend on this block.
+of the organ at the needle, and the inserted length. For display, this deflection is applied to a
+linear-elastic block around the first track of the needle. The nodes along the inserted shaft are
+displaced along the needle's axis by the deflection. Before the puncture, only the node at the entry
+is displaced. The solver computes the nodal forces that cause these displacements. The force on the
+needle does not depend on this block.
 """
 
 from dataclasses import dataclass, replace
@@ -31,13 +31,14 @@ SIDE_M = 0.08
 The block is only for display. Its size and its mesh edges are chosen; no force depends on them.
 """
 BELOW_M = 0.03
-"""Thickness of the block between the deepest position of the tip and the base of the block [m]."""
+"""Distance from the deepest position of the needle's tip to the base of the block [m]."""
 COARSE_M = 0.01
 FINE_M = 2.2e-3
 GROWTH = 0.75
-"""Increase of the length of mesh edges, per distance from the track.
+"""Increase of the length of the mesh edges per distance from the needle's track.
 
-Mesh edges have at most the length `FINE_M` [m] on the track, and `COARSE_M` [m] elsewhere.
+The largest length of a mesh edge is `FINE_M` [m] on the track, and `COARSE_M` [m] far from the
+track.
 """
 ON_TRACK_M = 1e-9
 """Largest distance from the track at which a node is treated as lying on the track [m]."""
@@ -63,7 +64,7 @@ class Track:
 
     @classmethod
     def first_of(cls, tips_m: Array, outward: Array, *, diameter_m: float) -> "Track | None":
-        """Return the first track of a motion.
+        """Return the first track of a needle's motion.
 
         The result is None if the needle stays outside the tissue, starts inside it or lies flat on
         it.
@@ -88,7 +89,7 @@ class Track:
 
 
 def needle_block(track: Track) -> tuple[TetMesh, Ints, Array]:
-    """Return a block of tissue around a track, the nodes on the track and their depths [m].
+    """Return a block of tissue around a track, the nodes on the track, and the node depths [m].
 
     The nodes are in the order of their depths; nodes and depths have shape (k,). The block is a
     sheared slab whose middle line is the needle's axis. Depths are measured along the axis. The top
@@ -118,14 +119,14 @@ def needle_block(track: Track) -> tuple[TetMesh, Ints, Array]:
 class NeedleFields:
     """Displacement, strain, stress and reaction of a block around a needle's first track.
 
-    In a tick in which a frame is due, only time, deflection and inserted length are copied. The
-    fields are computed after the end of the run. Other tracks are not shown: while the needle is in
-    another track, the block is undeformed.
+    When a frame of the display is due, the tick only copies time, deflection and inserted length.
+    The fields are computed after the end of the run. While the needle is in another track, the
+    block is shown without deformation.
 
     The finite elements are linear, so Poisson's ratio should not be near 0.5. Next to the shaft,
-    strain and stress depend on the length of the mesh edges, because the displacement of a line in
-    an elastic body has no converged solution. The force on the line does not converge either when
-    the mesh is refined.
+    strain and stress depend on the length of the mesh edges. The force on the shaft depends on it,
+    too. The reason is that a prescribed displacement of a line in an elastic body has no converged
+    solution.
 
     Parameters
     ----------
@@ -168,7 +169,7 @@ class NeedleFields:
         interval_s: float,
         constants: Materials = Materials.cited,
     ) -> "NeedleFields":
-        """Return the fields of a liver block with the Young's modulus of the cited sources.
+        """Return the fields of a block with the Young's modulus of liver from the cited sources.
 
         Poisson's ratio is the smallest value in the cited sources, because linear finite elements
         lock at larger values.
@@ -185,13 +186,13 @@ class NeedleFields:
     def keep(
         self, time_s: float, *, deflection_m: float, inserted_m: float, entry_m: Array
     ) -> None:
-        """Store the organ's deflection, the needle's inserted length and its entry point [m]."""
+        """Store deflection of the organ, inserted length and entry point [m] for one frame."""
         self.next_s += self._fields.interval_s
         here = np.linalg.norm(entry_m - self.track.entry_m) <= self._near_m
         self._kept.append((time_s, deflection_m, inserted_m) if here else (time_s, 0.0, 0.0))
 
     def compute(self) -> None:
-        """Solve the stored frames."""
+        """Solve for the fields at all stored times."""
         for time_s, deflection, inserted in self._kept:
             force = self.forces_N(deflection, inserted)[:, None] * self._inward
             self._fields.keep(time_s, force, force)
@@ -214,8 +215,8 @@ class NeedleFields:
     def forces_N(self, deflection_m: float, inserted_m: float) -> Array:
         """Return the axial nodal forces [N], positive inwards, that cause a deflection.
 
-        The track's nodes down to the inserted length are displaced by the deflection. The forces on
-        the track's k nodes have shape (k,).
+        The nodes on the track, down to the inserted length, are displaced by the deflection. The
+        forces on all k nodes of the track have shape (k,).
         """
         moved = self._depths_m <= inserted_m + ON_TRACK_M
         forces = np.zeros(len(self.nodes))

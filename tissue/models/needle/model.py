@@ -24,27 +24,26 @@ class Insertion:
     Here a1 and a2 are the coefficients of the organ's elastic force. ``tip`` is the cutting force,
     which is constant and acts only where the tip goes deeper than before. ``hold`` is the constant
     force with which the holes in the membranes hold the shaft. ``friction`` increases with L. While
-    the pull is smaller than the sum of these forces, needle and organ move together: the shaft
-    sticks and L is constant. In Karnopp's friction law, this pull is the applied force that is
-    compared with the static friction. If the pull exceeds the sum of the forces, computed with the
-    static friction, the shaft slides. Then u follows from the balance in closed form, and L from z.
-    An intact membrane stops the tip until the pull also exceeds the puncture force. Then the organ
-    springs back along the shaft at once, to the deflection u of the new balance. Before the
-    puncture the force is therefore the polynomial of Okamura (2004) in u. After the puncture the
-    deflection, its elastic force and the inserted length are all larger than zero.
+    the pull is smaller than the sum on the right side, needle and organ move together: the shaft
+    sticks and L is constant. The pull is the applied force of Karnopp's friction law, which is
+    compared with the static friction. The shaft slides if the pull exceeds the right side with the
+    static friction. Then the balance gives u in closed form, and L = z - u. An intact membrane
+    stops the tip until the pull also exceeds the puncture force. Then the organ springs back along
+    the shaft at once, to the deflection u of the new balance. Before the puncture the force is
+    therefore the polynomial of Okamura (2004) in u. After the puncture the deflection, the elastic
+    force and the inserted length are larger than zero.
 
     A shaft sticks when its motion stops or reverses, or when an obstacle stops the tip. It also
     sticks when its speed falls below half of `ShaftFriction.stick_band_m_s`. Viscous friction acts
     on the needle but does not deflect the organ. The state therefore depends only on the path of
-    the needle, and not on the number of steps along it. The tissue does not heal. The work of
+    the needle, and not on the number of steps along the path. The tissue does not heal. The work of
     puncture, cutting and friction is lost. Only the elastic energy of the organ is recovered.
 
     Relaxation at rest, the mass of the organ, forces across the axis, bending, and a stiffness that
     changes with depth are not modelled. The organ moves as one piece with its surface. An inner
-    membrane moves with the organ: it has a puncture force but no stiffness of its own. Behind a
-    membrane the tissue is parenchyma again. The polynomial was fitted to deflections of up to 17 mm
-    inwards. The response to outward deflection is assumed to be the same polynomial with the
-    opposite sign.
+    membrane moves with the organ: it has a puncture force but no stiffness of its own. The tissue
+    behind a membrane equals the tissue in front of it. The polynomial a1 u + a2 u|u| was fitted to
+    inward deflections of up to 17 mm. For outward deflections, the same coefficients are assumed.
 
     Attributes
     ----------
@@ -58,7 +57,7 @@ class Insertion:
         1 while the shaft slides inwards, -1 while the shaft slides outwards, 0 while the shaft
         sticks or creeps.
     punctures
-        Travel [m] and force [N] of every puncture; the force does not include viscous friction.
+        Travel [m] and force [N] at every puncture; the force does not include viscous friction.
     """
 
     def __init__(self, tissue: NeedleTissue, *, travel_m: float = 0.0) -> None:
@@ -74,7 +73,7 @@ class Insertion:
         self._holds = tuple(membrane.hold_N for membrane in tissue.membranes)
 
     def advance(self, travel_m: float, speed_m_s: float) -> None:
-        """Move the tip to the travel z at a speed; the sign of the speed has no effect."""
+        """Move the tip to the travel z at a speed. Only the magnitude of the speed matters."""
         moved = travel_m - self.travel_m
         self.travel_m = travel_m
         quick = abs(speed_m_s) >= 0.5 * self.tissue.friction.stick_band_m_s
@@ -110,13 +109,13 @@ class Insertion:
         )
 
     def shares_N(self) -> tuple[float, float, float]:
-        """Return the elastic, cutting and friction parts of the pull [N], whose sum is the pull.
+        """Return the elastic, cutting and friction parts of the pull [N]; their sum is the pull.
 
-        While the shaft slides, these parts are the holding force of the membranes, the cutting
-        force of the tip and the friction of the shaft. While the shaft sticks, only the pull is
-        known. The sliding force is the pull at which the shaft would slide. A pull up to the
-        sliding force is divided in the proportions of the sliding case. The excess of a larger pull
-        is reported as elastic if an intact membrane stops the tip, and as friction otherwise.
+        While the shaft slides, the parts are the holding force of the membranes, the cutting force
+        of the tip and the friction of the shaft. While the shaft sticks, only the pull is known.
+        The sliding force is the pull at which the shaft starts to slide. A pull up to the sliding
+        force is divided in the proportions of the sliding case. If the pull is larger, the excess
+        is reported as elastic if an intact membrane stops the tip, and otherwise as friction.
         """
         pull = self.pull_N
         length = self.inserted_m
@@ -161,7 +160,7 @@ class Insertion:
     def _push(self, quick: bool) -> None:
         """Slide inwards while the pull exceeds the resistance.
 
-        The motion is computed from one depth at which the resistance rises to the next such depth.
+        The motion is computed in parts. Each part ends at a depth at which the resistance rises.
         """
         tissue = self.tissue
         friction = self.tissue.friction
@@ -197,7 +196,8 @@ class Insertion:
     def _next_stop_m(self) -> float:
         """Return the inserted length [m] at the next rise of the resistance.
 
-        The resistance rises at a membrane, and at the end of the track that is already cut.
+        The resistance rises at a membrane, and at the end of the part of the track that is already
+        cut.
         """
         deeper = [depth for depth in self._depths if depth > self.inserted_m]
         if self.cut_m > self.inserted_m:
@@ -205,7 +205,7 @@ class Insertion:
         return min(deeper, default=inf)
 
     def _draw(self, quick: bool) -> None:
-        """Slide outwards while the pull of the organ exceeds holding force and friction."""
+        """Slide outwards while the pull of the organ exceeds the sum of hold and friction."""
         tissue = self.tissue
         friction = self.tissue.friction
         while self.inserted_m > 0.0:
@@ -240,23 +240,23 @@ class NeedleModel:
     The force is computed by `tissue.models.needle.model.Insertion` and acts along the needle's
     axis. Sideways motion or rotation of the needle inside the organ has no resistance. Depths are
     measured along the axis, from its intersection with the undeformed surface. Only the latest
-    track is stored. A needle that leaves the organ and re-enters within one needle diameter of its
-    last entry point moves in the open track. At other points the organ is treated as intact.
+    track is stored. A needle that re-enters the organ within one needle diameter of its last entry
+    point moves in this track. At other points the organ is treated as intact.
 
     The response's ``edge`` is the pull of the organ. This pull also acts at rest and does not
-    depend on speed. ``resistance`` is the viscous friction of a sliding shaft. ``engaged_m2`` is
-    the cross-section of the tip, in the column of the layer that the tip touches. The measures are
-    the inserted length [mm], the deflection of the organ [mm] and three parts of the axial force
-    [N]: elastic, cutting and friction, see `Insertion.shares_N`. The sum of the parts is the axial
-    force, positive against insertion.
+    depend on speed. ``resistance`` is the viscous friction of a sliding shaft. ``engaged_m2`` has
+    the cross-section of the needle in the column of the layer that the tip touches, and 0 in the
+    other columns. The ``measures`` are the inserted length [mm], the deflection of the organ [mm]
+    and three parts of the axial force [N]: elastic, cutting and friction, see `Insertion.shares_N`.
+    The sum of the parts is the axial force, positive against insertion.
 
     Parameters
     ----------
     tissue
         Tissue along the needle's axis.
     diameter_m
-        Diameter of the needle [m]. The diameter determines the area of the tip. An entry farther
-        than one diameter from the last entry begins a new track.
+        Diameter of the needle [m], which determines the area of the tip. An entry farther than one
+        diameter from the last entry begins a new track.
     fields
         Displacement and stress around the needle for display, or None for no display. The force
         does not depend on them.
@@ -342,11 +342,11 @@ class NeedleModel:
             self.notices.append("the needle has left the organ")
 
     def state(self) -> State:
-        """Copy the state that later ticks depend on."""
+        """Return a copy of the state on which later ticks depend."""
         return copied(self, ("insertion", "_entry_m"))
 
     def restore(self, state: State) -> None:
-        """Return to a copied state."""
+        """Restore a state that `state` has returned."""
         put_back(self, state)
 
     def respond(self, motion: ToolMotion) -> Response:
@@ -373,7 +373,7 @@ class NeedleModel:
         return response
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Store the deflection if a frame is due."""
+        """Store deflection and inserted length if a frame of the display is due."""
         # 1e-9 s: the time of a tick is rounded.
         if self._fields is not None and time_s >= self._fields.next_s - 1e-9:
             insertion = self.insertion
@@ -385,7 +385,7 @@ class NeedleModel:
             )
 
     def finish(self) -> None:
-        """Compute the fields of the stored frames."""
+        """Compute the displayed fields at all stored times, after the run."""
         if self._fields is not None:
             self._fields.compute()
 
@@ -416,8 +416,8 @@ class NeedleModel:
     def _touch(self, motion: ToolMotion, travel_m: float) -> Insertion:
         """Return the track at the point where the needle enters the surface.
 
-        The last track is returned if it starts within one needle diameter of this point. Otherwise
-        a new track is returned.
+        The result is the last track if it starts within one needle diameter of this point.
+        Otherwise the result is a new track.
         """
         entry = motion.tip_m + travel_m * motion.rotation[:, 2]
         # The comparison is also true for the first entry, because the entry before it is NaN.

@@ -9,20 +9,20 @@ from meshes.base.errors import InputError, names_of_caller, require_positive, re
 from tissue.materials.scene_constants import Materials
 
 LARGEST_N = 1e4
-"""Largest allowed value of a force parameter [N]; a larger value is taken for a wrong unit."""
+"""Largest allowed value of a force parameter [N]; a larger value probably has a wrong unit."""
 LARGEST_N_M = 1e6
 """Largest allowed force per length [N/m], and largest allowed viscous coefficient [N s/m2]."""
 LEAST_COSINE = 0.17
 """Smallest cosine between the needle's axis and the surface normal.
 
-The axis must meet the surface at more than 10 degrees, because the model has no force across the
-axis.
+The angle between axis and surface must be larger than 10 degrees, because the model has no force
+across the axis.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class Membrane:
-    """Thin layer that a needle's tip does not cut gradually, but punctures at a certain force.
+    """Thin layer that a needle's tip punctures at a certain force.
 
     Attributes
     ----------
@@ -82,8 +82,8 @@ class ShaftFriction:
         Friction per length at which a shaft at rest starts to move [N/m]: Okamura's D_p and the
         magnitude of his D_n.
     stick_band_m_s
-        Width of the range of speeds around zero that is treated as rest [m/s]. Below half of this
-        width the shaft creeps under the static friction.
+        Width of the range of speeds around zero that is treated as rest [m/s]. At speeds below half
+        of this width the friction is the static friction.
     """
 
     sliding_in_N_m: float
@@ -135,8 +135,8 @@ class NeedleTissue:
     ------
     InputError
         If a number is not plausible, if membranes are not ordered by depth, or if the static
-        friction per length is not smaller than `linear_N_m`. In the last case a needle would jump
-        out of the organ during withdrawal.
+        friction per length is not smaller than `linear_N_m`. With such a large static friction, a
+        needle would jump out of the organ during withdrawal.
     """
 
     linear_N_m: float
@@ -215,7 +215,7 @@ def vessel_wall(
 ) -> Membrane:
     """Return the wall of a vessel, or another membrane inside an organ, at a depth [m].
 
-    A force that is None is replaced by the constant of a vessel's wall. These constants have no
+    If a force is None, an assumed constant for the wall of a vessel is used. This constant has no
     source.
     """
     wall = constants.values("needle", "vessel_wall")
@@ -232,7 +232,7 @@ def needle_tissue(
 ) -> NeedleTissue:
     """Return bovine liver under its capsule, with inner membranes ordered by depth.
 
-    The constants hold for one needle in one organ (Okamura 2004).
+    The constants were measured with one needle in one organ (Okamura 2004).
 
     Raises
     ------

@@ -1,7 +1,8 @@
 """Compliance of the surface nodes that a tool may touch.
 
-There are three methods: the complete matrix is computed, its columns are computed near the tool
-during the run, or the matrix is computed from a reduced basis.
+There are three methods. The first method computes the complete matrix. The second method computes
+columns for the nodes near the tool during the run. The third method computes the matrix from a
+reduced basis.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -26,9 +27,9 @@ from tissue.system.blas_threads import one_blas_thread
 
 CONDENSING = "condensing the compliance to the surface that can be touched"
 FACTOR_UNKNOWNS = 200_000
-"""Largest number of unknowns for which an organ is solved by a sparse factorisation.
+"""Largest number of unknowns of an organ whose stiffness matrix is factorised.
 
-For larger organs multigrid is used, because a factor would take gigabytes of memory.
+For larger organs a multigrid solver is used, because a factor would take gigabytes of memory.
 """
 CompliancePath = Literal["condensed", "lazy", "reduced"]
 """Method used to compute the compliance.
@@ -39,9 +40,9 @@ columns are computed while the tool moves. ``reduced``: the matrix is computed f
 
 
 class Factor:
-    """Sparse factor of the stiffness, made when it is first needed.
+    """Sparse factor of an organ's stiffness matrix, computed when it is first needed.
 
-    If the factor would need too much memory, multigrid replaces it.
+    If the factor would need too much memory, a multigrid solver is used instead.
     """
 
     def __init__(self, body: HeldBody) -> None:
@@ -50,7 +51,7 @@ class Factor:
 
     @cached_property
     def solver(self) -> DirectSolver | MultigridSolver:
-        """Solver of the organ."""
+        """Solver for the organ's displacement under nodal forces."""
         if len(self._body.free) > FACTOR_UNKNOWNS:
             return MultigridSolver(self._body)
         return DirectSolver(self._body, last=self._last)
@@ -58,7 +59,8 @@ class Factor:
     def expect(self, nodes: Ints) -> None:
         """Request a factor from which the compliance between the given nodes can be read directly.
 
-        The request has an effect only if the factor is not made yet and is not too large.
+        The request has no effect if the factor has been computed before, or if it would be too
+        large.
         """
         if "solver" not in self.__dict__ and len(self._body.free) <= SCHUR_UNKNOWNS:
             self._last = np.union1d(self._last, nodes)
@@ -80,10 +82,10 @@ def compliance_of(
     basis_size: int,
     report: Progress,
 ) -> tuple[Array, LazyCompliance | None]:
-    """Return the compliance of the touchable nodes [m/N] and the object that fills it.
+    """Return the compliance of t touchable nodes [m/N], and an object for missing entries.
 
-    The compliance of the t nodes has shape (3t, 3t). The object is None if the compliance is
-    complete. Otherwise missing entries are NaN, and the object fills them while the tool moves.
+    The compliance has shape (3t, 3t). The second result is None if the compliance is complete.
+    Otherwise missing entries are NaN, and the second result fills them while the tool moves.
     """
     if path == "condensed":
         found = surface_compliance_m_N(
@@ -100,19 +102,20 @@ def compliance_of(
 
 
 TOGETHER = 16
-"""Number of columns in one back-substitution, on one thread of BLAS.
+"""Number of compliance columns in one back-substitution, which uses one thread of BLAS.
 
 More columns are not faster, and several threads are slower on small blocks.
 """
 LIMIT_BYTES = 1_000_000_000
-"""Memory above which columns from earlier places of contact are dropped [bytes].
+"""Memory above which all columns stored in earlier presses are dropped [bytes].
 
-A surface of 5,000 nodes needs 0.36 MB for each touched node, so that 2,800 nodes fit.
+On a surface of 5,000 nodes, the columns of a touched node need 0.36 MB, so the columns of 2,800
+nodes fit.
 """
 
 
 class KeptColumns:
-    """Displacements of an organ's surface under unit forces on its nodes, reused in every press.
+    """Displacements of an organ's surface under unit forces on its nodes, stored for later presses.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Contact of a tool with an elastic organ, computed from the compliance of its touchable nodes."""
+"""Contact of a tool with an elastic organ, computed from the compliance of surface nodes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -40,10 +40,10 @@ MOST_DIVISIONS = 16
 
 
 def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[Int32s, Array, Array]:
-    """Return contact points on triangles: the corners, and a lattice inside large triangles.
+    """Return contact points on triangles: the corners, and further points in large triangles.
 
     If the longest edge of a triangle spans n > 1 spacings, the triangle is divided into n^2 equal
-    parts, and their centres are added.
+    parts. The centres of these parts are added as contact points.
 
     Parameters
     ----------
@@ -62,13 +62,13 @@ def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[Int32
     weights
         Barycentric weights, shape (p, 3).
     areas_m2
-        Area that a point represents [m2], shape (p,); 0 for nodes at which all triangles are
-        divided.
+        Area that each point represents [m2], shape (p,). The area is 0 for a node if all triangles
+        around it are divided.
 
     Raises
     ------
     InputError
-        If an edge spans more than 16 spacings.
+        If an edge of a triangle spans more than 16 spacings.
     """
     corners = nodes_m[faces]
     area = 0.5 * np.linalg.norm(
@@ -167,7 +167,7 @@ def point_arrays(
 
 
 class ContactOutcome(Enum):
-    """Outcome of a contact solve. The value of a failure describes its remedy."""
+    """Outcome of a contact solution. The value explains the outcome and how to fix a failure."""
 
     CONVERGED = "the forces have converged within the tolerance"
     NOT_CONVERGED = (
@@ -185,7 +185,7 @@ class ContactOutcome(Enum):
 
 @dataclass
 class ContactResult:
-    """Forces and penetration of a contact in the world frame; every solve overwrites them.
+    """Forces and penetration of a contact in the world frame; the next solution overwrites them.
 
     Attributes
     ----------
@@ -196,7 +196,7 @@ class ContactResult:
     nodal_forces_N
         Forces on the organ's touchable nodes [N], shape (s, 3).
     outcome
-        Outcome of the solve.
+        Convergence, or the reason of a failure.
     iterations
         Number of Gauss-Seidel sweeps.
     contacts
@@ -219,9 +219,9 @@ class ContactResult:
     compliance_scale: float = field(default=1.0, repr=False)
 
     def displacement_m(self) -> Array:
-        """Return the displacement of the touchable nodes under the contact forces [m].
+        """Return the displacement of all s nodes under the contact forces [m], shape (s, 3).
 
-        The shape is (s, 3). A displacement set by `SurfaceContact.shift` is not included.
+        A displacement set by `SurfaceContact.shift` is not included.
         """
         loaded = np.flatnonzero(self.nodal_forces_N.any(axis=1))
         columns = components_of(loaded)
@@ -235,23 +235,24 @@ STATE_ARRAYS = {
     "lists": ("count", "working", "working_mark"),
     "patch": ("count", "node", "slot", "near_mark", "loaded_mark", "moved"),
 }
-"""Names of the device arrays that later solves depend on, by group of arrays."""
+"""Names of the device arrays in a copied state, for each group of arrays."""
 OUTCOMES = tuple(ContactOutcome)
-"""Outcomes in the order of the kernel's state numbers."""
+"""Outcomes in the order of the numbers that the kernel returns."""
 START_M = 1e-6
 """Penetration allowed at the first pose of a tool [m], because of rounding errors."""
 REACH_M = 1e-4
-"""Distance that is added to the largest displacement in the search for near triangles [m].
+"""Margin of the search for triangles near the tool, added to the largest displacement [m].
 
-A tool with a speed of 100 mm/s moves by this distance in a tick.
+A tool with a speed of 100 mm/s moves by this margin in a tick.
 """
 
 
 class SurfaceContact:
     """Contact between a tool and the surface of an organ with a given compliance.
 
-    Each solve advances the contact by one tick. Slip and stick depend on the tool's path since the
-    last solve. The contact is unilateral with Coulomb friction, and implicit over the whole tick.
+    Each call of `solve` advances the contact by one tick. Slip and stick depend on the tool's
+    motion since the last call. The contact is unilateral, with Coulomb friction. An implicit step
+    computes the forces at the end of the tick.
 
     Parameters
     ----------
@@ -260,21 +261,21 @@ class SurfaceContact:
     faces
         Triangles between these nodes, counter-clockwise seen from outside, shape (f, 3).
     compliance_m_N
-        W = H K^-1 H^T [m/N], symmetric, float64, shape (3s, 3s). On a CPU the matrix is not copied.
-        The caller may then fill the matrix block by block during contacts. Missing blocks hold NaN,
-        and filled blocks must not change.
+        Compliance of the touchable nodes [m/N], symmetric, float64, shape (3s, 3s). On a CPU the
+        matrix is not copied, so the caller may fill it block by block between calls of `solve`.
+        Missing blocks hold NaN. Filled blocks must not change.
     probe
         The tool.
     friction
-        Coulomb's coefficient.
+        Coefficient of Coulomb friction.
     tolerance
         Allowed change of a point's displacement in the last sweep, relative to the largest
         displacement. On a slab under a sphere the error of the force is 1 % with 1e-3 and 0.2 %
         with 1e-4.
     sweeps
-        Largest number of Gauss-Seidel sweeps in a solve.
+        Largest number of Gauss-Seidel sweeps in one call of `solve`.
     spacing_m
-        Largest spacing of contact points on the organ [m]; default: the tool's `spacing_m`.
+        Largest distance between contact points on the organ [m]; default: the tool's `spacing_m`.
     device, cores
         Warp device name, and number of processor cores that share the projection of a shell's
         points onto the organ (default: all cores).
@@ -330,7 +331,7 @@ class SurfaceContact:
         """Result of the last solve. Every solve returns this object."""
 
     def _recorded(self) -> list[Callable[[], object]]:
-        """Record the kernel launches of a tick, in order, with the present compliance scale."""
+        """Record the kernel launches of a tick, with the present factor of the compliance."""
         device = self._device
         probe = self.probe
         size = wp.vec2d(*self.probe.size_m)
@@ -401,7 +402,7 @@ class SurfaceContact:
         self._read(np.zeros(RESULTS))
 
     def state(self) -> State:
-        """Copy the state that later solves depend on.
+        """Return a copy of the state on which the next solutions depend.
 
         The compliance is not part of the state.
         """
@@ -414,7 +415,7 @@ class SurfaceContact:
         }
 
     def restore(self, state: State) -> None:
-        """Return to a copied state of a contact with an equal number of nodes."""
+        """Restore a state of this contact, or of a contact with an equal number of nodes."""
         arrays = self._arrays()
         require_shapes({name: each.numpy() for name, each in arrays.items()}, state["arrays"])
         for name, array in arrays.items():
@@ -436,10 +437,10 @@ class SurfaceContact:
         }
 
     def scale_compliance(self, factor: float) -> None:
-        """Multiply the compliance by a factor.
+        """Set the factor by which the compliance is multiplied.
 
-        For a viscous organ, for example, the factor is the part of the compliance that acts within
-        a tick.
+        For a viscous organ, the factor is the fraction of the elastic displacement that occurs
+        within a tick.
         """
         self.result.compliance_scale = require_positive("factor", factor, "use 1 for no change")
         self._body.scale = wp.float64(factor)
@@ -448,12 +449,11 @@ class SurfaceContact:
         self._stages = self._recorded()
 
     def change_compliance(self, compliance_m_N: Array) -> None:
-        """Replace the compliance [m/N], shape (3s, 3s), in place, from the next solve on.
+        """Replace the values of the compliance [m/N], shape (3s, 3s), for the next solutions.
 
-        With the new compliance the present forces displace the nodes by a different amount. This
-        difference is added to the positions that the nodes had without contact in the last solve.
-        The friction law therefore registers no motion of the nodes. Include this difference in the
-        next call of `shift`.
+        The new compliance changes the displacement that the present forces cause. This change is
+        compensated in the stored node positions without contact, so the friction law registers no
+        motion of the nodes. The caller must include the same change in the next call of `shift`.
         """
         before = self.result.displacement_m()
         self.use_compliance(compliance_m_N)
@@ -461,7 +461,7 @@ class SurfaceContact:
         self._body.last_free.assign(self._body.last_free.numpy() + less)
 
     def use_compliance(self, compliance_m_N: Array) -> None:
-        """Write a compliance [m/N], shape (3s, 3s); the positions without contact do not change."""
+        """Replace the compliance [m/N], shape (3s, 3s), but not the positions without contact."""
         self.result.compliance_m_N[:] = compliance_m_N
         if not self._on_host:
             self._body.compliance.assign(compliance_m_N)
@@ -469,7 +469,7 @@ class SurfaceContact:
         gather_all_again(self._patch)
 
     def shift(self, offset_m: Array) -> None:
-        """Set the displacements without contact [m], shape (s, 3), for the next solve."""
+        """Set the displacements that the nodes have without contact [m], shape (s, 3)."""
         self._body.free.assign(self.nodes_m + offset_m)
         # The search for near triangles must include the largest shift of a node.
         self._results.host[LARGEST] += float(np.linalg.norm(offset_m, axis=1).max())
@@ -479,8 +479,8 @@ class SurfaceContact:
     def nodes_in_reach(self, tip_m: Array, rotation: Array, margin_m: float) -> Ints:
         """Return the touchable nodes of triangles that are near the tool when the organ is at rest.
 
-        Near means within the distance `margin_m` of the tool. A contact needs the compliance of
-        these nodes first.
+        A triangle is near if its distance from the tool is at most `margin_m`. The compliance of
+        these nodes must be known before a contact is solved.
         """
         distance = self.probe.distance((self._centres - tip_m) @ rotation)
         return np.unique(self.faces[distance < self._radii + margin_m])
@@ -488,7 +488,7 @@ class SurfaceContact:
     def solve(self, tip_m: Array, rotation: Array) -> ContactResult:
         """Move the tool to its next pose and solve for the forces.
 
-        Every call overwrites and returns the same object.
+        Every call returns one and the same object, with new values.
 
         Parameters
         ----------
@@ -522,13 +522,13 @@ class SurfaceContact:
         return self.result
 
     def _keep(self, tip_m: Array, rotation: Array) -> None:
-        """Store the pose at which the path of the next solve starts."""
+        """Store the pose at which the motion of the next tick starts."""
         self._placed = True
         self._pose.host[4] = tip_m
         self._pose.host[5:8] = rotation
 
     def _read(self, values: Array) -> None:
-        """Copy the kernel's values into the result."""
+        """Copy the values that the kernel has computed to `result`."""
         result = self.result
         result.force_N[:] = values[FORCE : FORCE + 3]
         result.torque_Nm[:] = values[TORQUE : TORQUE + 3]

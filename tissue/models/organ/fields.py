@@ -1,4 +1,4 @@
-"""Displacement, strain, stress and reaction of a whole organ, computed from its contact forces."""
+"""Displacement, strain, stress and reaction forces of a whole organ under contact forces."""
 
 from dataclasses import replace
 from math import inf
@@ -16,30 +16,30 @@ from tissue.models.organ.soft_organ import SoftOrgan
 
 TOLERANCE = 1e-3
 STEPS = 100
-"""Allowed number of solver steps of a frame under a hyperelastic law.
+"""Largest number of solver steps for the fields at one time, under a hyperelastic law.
 
-A solve ends earlier if its residual is at most `TOLERANCE`. The residual is the largest unbalanced
-force divided by the largest force of the load. The number of steps is larger than in the solves
-between ticks (`tissue.models.organ.law`), because frames are solved after the run.
+The solver stops earlier if the residual is at most `TOLERANCE`. The residual is the largest
+unbalanced force divided by the largest force of the load. The number of steps is larger than
+between ticks (`tissue.models.organ.law`), because the fields are computed after the run.
 """
 
 
 class OrganFields:
     """Displacement, strain, stress and reaction of a whole organ under its contact forces.
 
-    In a tick in which a frame is due, only the contact forces and displacements are copied. The
-    fields are computed after the end of the run.
+    When a frame of the display is due, the tick only copies the contact forces and displacements.
+    The fields are computed after the end of the run.
 
     Parameters
     ----------
     organ
-        The organ. An organ with a hyperelastic law has no weight.
+        The organ. If it has a hyperelastic law, it must have no weight.
     touchable
         Nodes on which forces act, shape (t,).
     interval_s
         Time between two frames [s]; infinite for no frames.
     windows
-        Windows in which the hyperelastic law of the organ is solved; None for a linear organ.
+        Parts of the organ in which the hyperelastic law is solved; None for a linear organ.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class OrganFields:
     def keep(
         self, time_s: float, force_N: Array, crept_N: Array, moved_m: Array | None = None
     ) -> None:
-        """Store the state of a frame that is due.
+        """Store the forces and displacements from which a frame is computed after the run.
 
         Parameters
         ----------
@@ -85,7 +85,7 @@ class OrganFields:
         self._kept.append((time_s, force_N.copy(), crept_N.copy(), moved))
 
     def compute(self) -> None:
-        """Solve the stored frames."""
+        """Solve for the fields at all stored times."""
         if self._windows is None:
             for time_s, force_N, crept_N, _ in self._kept:
                 self._compute_linear(time_s, force_N, crept_N)
@@ -94,12 +94,12 @@ class OrganFields:
         self._kept.clear()
 
     def _compute_large(self, windows: LawWindows) -> None:
-        """Solve the stored frames of an organ with a hyperelastic law, which may creep.
+        """Solve for the fields of an organ with a hyperelastic law, with or without creep.
 
-        Displacement and strain are the response of the law to the crept forces (see `keep`). Stress
-        and reaction are this response times a ratio: the resultant of the contact forces divided by
-        the resultant of the crept forces. The ratio is exact if contact forces and crept forces
-        have equal distributions.
+        Displacement and strain are the response of the law to the crept forces (see `keep`). For
+        stress and reaction, this response is multiplied by a ratio: the resultant of the contact
+        forces divided by the resultant of the crept forces. The result is exact if the contact
+        forces are proportional to the crept forces.
         """
         unsettled = 0
         for time_s, forces, crept, moved_m in self._kept:
@@ -137,8 +137,9 @@ class OrganFields:
     ) -> tuple[Array, StressState, Array]:
         """Return displacement [m], stress and reaction [N] of the organ at a window's equilibrium.
 
-        Outside a region the organ is linear. The loads on the organ are the contact forces, and the
-        difference between the forces of the linear law and of the hyperelastic law in the region.
+        Outside the region of the window the organ is linear. The displacement is computed with the
+        linear organ. Its loads are the crept forces, and the forces of the linear law minus the
+        forces of the hyperelastic law in the region.
         """
         organ = self._organ
         law = organ.law
@@ -167,7 +168,7 @@ class OrganFields:
         return moved, stress, reaction
 
     def _compute_linear(self, time_s: float, force_N: Array, crept_N: Array) -> None:
-        """Solve a frame of a linear organ that may creep.
+        """Solve for the fields of a linear organ at one time, with or without creep.
 
         Stress is computed from the contact forces. Strain and displacement are computed from the
         crept forces, see `keep`.
@@ -224,15 +225,15 @@ def cauchy_stress(
 ) -> StressState:
     """Return the mean Cauchy stress and logarithmic strain of each cell, in the spatial frame.
 
-    The means are taken over the quadrature points: in an equilibrium, no cell is inverted at these
-    points. A quadratic cell may be inverted at its centre.
+    The means are taken over the quadrature points, because no cell is inverted at these points in
+    an equilibrium. At its centre, a quadratic cell may be inverted.
 
     Parameters
     ----------
     space, displacement_m
         Finite elements, and displacement of their nodes [m], shape (n, 3).
     law, cell_factors
-        The law, and the factor of its moduli in each cell, shape (m,).
+        Hyperelastic law, and factor by which its moduli are multiplied in each cell, shape (m,).
     """
     corners = space.gradients[0].numpy()
     points = gauss_points(space.order)

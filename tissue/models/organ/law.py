@@ -1,22 +1,23 @@
 """Hyperelastic law of a soft organ at 1 kHz.
 
-Every tick uses a compliance and an offset; the offset is solved between ticks.
+Every tick uses a compliance and an offset of the displacement. The offset is computed between
+ticks.
 
 Under nodal forces f the surface of the organ moves by u(f). Near an equilibrium with displacement
 u_k and forces f_k, this function is approximated with a compliance W::
 
     u(f) = W f + offset_k,    offset_k = u_k - W f_k
 
-A contact that is solved with W and this offset is therefore in equilibrium with the law when the
-acting forces are f_k. At the end of every interval the equilibrium under the present forces is
-solved. The offset then changes to the new offset during the next interval, without a jump. The
-offset also depends linearly on the depth of the tool. The slope of this dependence is computed from
-the last two equilibria. W is the compliance at rest as long as the equilibria are close to the
-prediction by W. After that, W is the compliance of the tangent stiffness at the present
-displacement (Newton's method).
+A contact that is solved with W and this offset satisfies the hyperelastic law if its forces are
+f_k. At the end of every interval the equilibrium under the present forces is solved. During the
+next interval, the offset changes gradually to the new offset. The offset also depends linearly on
+the depth of the tool. The slope of this dependence is computed from the last two equilibria. At
+first, W is the compliance at rest. When an equilibrium deviates too much from the prediction by W,
+W is replaced by the compliance of the tangent stiffness at the present displacement (Newton's
+method).
 
-A run without a real device waits until a solve is done. With a real device, a second thread
-computes the solve, and the ticks continue with the last offset until the solve is done.
+A run without a real device waits until the equilibrium is computed. With a real device, a second
+thread computes the equilibrium. Until it is found, the ticks continue with the last offset.
 
 An organ that relaxes is quasi-linear viscoelastic (Fung 1993, Biomechanics, 2nd edition, chapter
 7). The nodal forces of the organ are the hereditary integral of the elastic nodal forces, with one
@@ -46,30 +47,30 @@ from tissue.system.blas_threads import one_blas_thread
 
 TOLERANCE = 1e-3
 STEPS = 30
-"""Allowed number of steps of a solve.
+"""Largest number of solver steps for one equilibrium.
 
-A solve ends when the unbalanced force is at most `TOLERANCE` times the largest nodal force. With a
-tolerance of 0.02 or 0.005, a change of an Ogden exponent from 18 to 18.1 changes the force of a
-deep press by up to 3.8 %. With 0.001 this change is 0.4 %. The solves in docs/decisions.md need at
-most 9 steps. With a limit of 5 steps, one solve in eight does not reach the tolerance.
+The solver stops earlier if the unbalanced force is at most `TOLERANCE` times the largest nodal
+force. With a tolerance of 0.02 or 0.005, a change of an Ogden exponent from 18 to 18.1 changes the
+force of a deep press by up to 3.8 %. With 0.001 this change is 0.4 %. The equilibria in
+docs/decisions.md need at most 9 steps. With a limit of 5 steps, one equilibrium in eight does not
+reach the tolerance.
 """
 MISSED = 0.01
-"""Deviation of an equilibrium from its prediction above which the compliance is computed anew.
+"""Relative error of a predicted displacement above which the compliance is computed again.
 
-The deviation is relative to the displacement. If a compliance is kept too long, the force depends
-on the interval in which the compliance was computed. With 0.05 the force of a deep press decreases
-by 4 % when an Ogden exponent increases from 15.5 to 16.5. With 0.02 single forces change by 4 %.
-With 0.01 the forces differ by at most 0.1 % from the forces with a new compliance in every
-interval.
+The prediction uses the compliance. If an old compliance is used too long, the force depends on the
+time at which this compliance was computed. With 0.05 the force of a deep press decreases by 4 %
+when an Ogden exponent increases from 15.5 to 16.5. With 0.02 single forces change by 4 %. With 0.01
+the forces differ by at most 0.1 % from a computation with a new compliance in every interval.
 """
 APART_M = 2e-4
-"""Smallest change of depth between the two equilibria that give the slope of the offset [m].
+"""Smallest depth difference of two equilibria from which the offset's slope is computed [m].
 
 With 5e-5 a deep press has the same force. With 8e-4 the largest force error while the tool moves
 increases from 1.5 to 1.9 %.
 """
 FARTHEST = 2.0
-"""Longest extrapolation of the offset, relative to the change of depth used for its slope.
+"""Largest depth of extrapolation of the offset, divided by the depth difference of its slope.
 
 Without extrapolation, the largest force error while the tool moves in a deep press is 2.4 % instead
 of 1.5 %. Values above 2 change nothing.
@@ -87,12 +88,12 @@ STATE = (
     "unsettled",
     "_late",
 )
-"""Attributes that later ticks and their notices depend on, between two solves."""
+"""Names of the attributes on which later ticks and notices depend."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """Offset as a linear function of the depth, within a limited range of depth."""
+    """Displacement offset as a linear function of the depth, within a limited range of depth."""
 
     at_m: Array
     slope: Array
@@ -108,13 +109,13 @@ class _Line:
 
 @dataclass(frozen=True, eq=False)
 class _Equilibrium:
-    """Equilibrium found in a solve.
+    """Equilibrium that a solver has found.
 
     Attributes
     ----------
     depth_m, tip_m
-        Travel of the tool in contact [m], and position of the tool's tip [m], shape (3,). The
-        position is NaN if the equilibrium is the state of rest.
+        Travel of the tool since the first touch [m], and position of the tool's tip [m], shape
+        (3,). The position is NaN if the equilibrium is the state of rest.
     moved_m, forces_N
         Displacement of the window's touchable nodes [m], shape (w, 3), and forces on all touchable
         nodes [N], shape (t, 3).
@@ -126,9 +127,9 @@ class _Equilibrium:
     forces_N: Array
 
     def is_aside(self, other: "_Equilibrium") -> bool:
-        """Return True if the tool moved farther sideways than along its axis between equilibria.
+        """Return True if the tool moved more sideways than along its axis between two equilibria.
 
-        The result is False if one of the two is the equilibrium at rest, whose tip position is NaN.
+        The result is False if one equilibrium is the state of rest, whose tip position is NaN.
         """
         deeper_m = self.depth_m - other.depth_m
         square = float(np.sum((self.tip_m - other.tip_m) ** 2)) - deeper_m**2
@@ -145,14 +146,14 @@ class TickState:
         Contact forces, and crept forces (contact forces after creep of the tissue, see the module)
         [N], each of shape (t, 3).
     offset_m
-        Offset in that tick [m], shape (t, 3): displacement by the law minus displacement by the
-        compliance.
+        Offset in the tick [m], shape (t, 3): displacement by the hyperelastic law minus
+        displacement by the compliance.
     compliance_m_N
-        Compliance of the contact [m/N], shape (3t, 3t). A solve may replace it.
+        Compliance of the contact nodes [m/N], shape (3t, 3t). The solver may replace it.
     tip_m
         Position of the tool's tip [m], shape (3,).
     is_renewed
-        True if a solve has replaced the compliance.
+        True if the solver has replaced the compliance.
     """
 
     nodal_forces_N: Array
@@ -174,7 +175,7 @@ def _displaced(contact: TickState, forces_N: Array) -> Array:
 
 
 class LawOffset:
-    """Offset of an organ: displacement by its law minus displacement by a compliance.
+    """Offset of an organ: displacement by its hyperelastic law minus displacement by a compliance.
 
     Parameters
     ----------
@@ -183,7 +184,8 @@ class LawOffset:
     touchable
         Nodes of the contact, shape (t,).
     tool
-        The tool and its poses. The poses determine the windows in which the law is solved.
+        The tool and its poses. The poses determine the windows (parts of the organ) in which the
+        law is solved.
 
     Attributes
     ----------
@@ -228,7 +230,7 @@ class LawOffset:
         return self.latest_m
 
     def _share(self, time_s: float) -> float:
-        """Return the completed share, 0 to 1, of the change to the last computed offset."""
+        """Return the completed share, 0 to 1, of the gradual change to the last computed offset."""
         if self.interval_s == 0.0:
             return 1.0
         return min((time_s - self._changed_s) / self.interval_s, 1.0)
@@ -243,7 +245,7 @@ class LawOffset:
         return self._thread
 
     def stop_thread(self) -> None:
-        """End the second thread after its present solve."""
+        """End the second thread when it has found its present equilibrium."""
         if self._thread is not None:
             self._thread.shutdown()
         self._thread = None
@@ -252,10 +254,10 @@ class LawOffset:
     def renew(
         self, time_s: float, depth_m: float, state: Callable[[], TickState], *, waits: bool
     ) -> TickState | None:
-        """Solve for the equilibrium under the crept forces at the end of an interval.
+        """Solve for the equilibrium at the end of an interval, now or in the second thread.
 
-        Return the state of a completed solve, or None if no solve was completed. After a completed
-        solve, the caller calls `show`.
+        Return the state for which an equilibrium was found, or None if no equilibrium was
+        completed. After a result that is not None, the caller must call `show`.
 
         Parameters
         ----------
@@ -265,7 +267,7 @@ class LawOffset:
             Function that returns the state of the last tick.
         waits
             True to solve within this call. Otherwise a second thread solves, and a later call
-            returns the solved state.
+            returns the state.
         """
         if self._pending is not None:
             if not (waits or self._pending.done()):
@@ -283,15 +285,16 @@ class LawOffset:
         return None
 
     def show(self, time_s: float, depth_m: float, held_m: Array | None) -> None:
-        """Start the gradual change to the offset of the last solve.
+        """Start the gradual change to the offset of the last equilibrium.
 
         Parameters
         ----------
         time_s, depth_m
             Present time [s], and travel of the tool in contact [m].
         held_m
-            Offset [m], shape (t, 3), with which no node moves when the compliance is replaced. The
-            change starts from this offset. None if the compliance was not replaced.
+            Offset [m], shape (t, 3), from which the change starts if the compliance was replaced.
+            With this offset no node moves at the replacement. None if the compliance was not
+            replaced.
         """
         share = self._share(time_s)
         start, end = self._shown
@@ -374,11 +377,11 @@ class LawOffset:
         """Build springs that hold the loaded nodes near their positions in the last tick.
 
         The springs have the compliance of the contact. Let w be the stiffness of the contact, k the
-        stiffness of the tissue and s the stiffness of the springs. Each solve multiplies the error
-        of the contact force by a factor. The factor is (k - w) / (k + s) if the tool prescribes the
-        displacement, and s (k - w) / (w (k + s)) if the tool prescribes the force. With s = w the
-        two factors are equal: (k - w) / (k + w). The magnitude of this factor is below 1 for any
-        tissue.
+        stiffness of the tissue and s the stiffness of the springs. Each computed equilibrium
+        multiplies the error of the contact force by a factor. The factor is (k - w) / (k + s) if
+        the tool prescribes the displacement, and s (k - w) / (w (k + s)) if the tool prescribes the
+        force. With s = w the two factors are equal: (k - w) / (k + w). The magnitude of this factor
+        is below 1 for any tissue.
         """
         window = self.windows.now
         inside_N = np.zeros_like(crept_N)
@@ -393,22 +396,22 @@ class LawOffset:
         return window.springs(crept_N, _displaced(contact, inside_N) + contact.offset_m, compliance)
 
     def _offset(self, contact: TickState, moved_m: Array, forces_N: Array) -> Array:
-        """Return the offset of all touchable nodes [m], zero outside the window."""
+        """Return the offset of all touchable nodes [m]; it is zero outside the window in use."""
         offset = np.zeros_like(self.latest_m)
         inside = self.windows.now.inside
         offset[inside] = moved_m - _displaced(contact, forces_N)[inside]
         return offset
 
     def _change_compliance(self, contact: TickState) -> None:
-        """Replace the contact's compliance by the compliance of the last factorised stiffness."""
+        """Replace the compliance of the contact by the compliance of the factor in use."""
         self._factor = self.windows.now.follower.factor
         contact.change_compliance(self._compliance(contact.compliance_m_N))
 
     def _compliance(self, present_m_N: Array) -> Array:
-        """Return the contact's compliance [m/N] for the factor in use.
+        """Return the compliance of the contact nodes [m/N] for the stiffness factor in use.
 
-        Entries outside the window are those of the compliance at rest, which is `present_m_N` in
-        the first call.
+        Outside the window, the entries of the compliance at rest are used. The compliance at rest
+        is the argument of the first call.
         """
         if self._at_rest is None:
             self._at_rest = present_m_N.copy()
@@ -421,14 +424,14 @@ class LawOffset:
         return compliance
 
     def state(self) -> State:
-        """Copy the state that later ticks depend on.
+        """Return a copy of the state on which later ticks depend.
 
-        Call this function between two solves, and only if the second thread is not used.
+        The second thread must not be in use.
         """
         return {"own": copied(self, STATE), "windows": self.windows.state()}
 
     def restore(self, state: State, present_m_N: Array) -> Array | None:
-        """Return to a copied state.
+        """Restore a state that `state` has returned.
 
         Return the compliance of the contact in that state [m/N], shape (3t, 3t), or None if the
         present compliance stays in use.
@@ -442,10 +445,10 @@ class LawOffset:
 
     @property
     def older(self) -> float:
-        """Share of the time in which the offset was older than an interval.
+        """Share of the run time in which the offset was older than an interval.
 
-        A solve that takes longer than its interval delays the next solve. The total time is the sum
-        over all solves; a solve that is shorter than an interval counts as one interval.
+        An equilibrium whose computation takes longer than its interval delays the next equilibrium.
+        The total time is the sum over all equilibria, each counted with at least one interval.
         """
         if not self.took_s or self.interval_s == 0.0:
             return 0.0
@@ -453,7 +456,7 @@ class LawOffset:
         return float(late.sum() / (late + self.interval_s).sum())
 
     def _report(self, found: Followed, took_s: float, *, first: bool) -> None:
-        """Count the solve, and add a notice for each kind of problem that is new."""
+        """Count an equilibrium, and add a notice for each kind of problem that is new."""
         self.solves += 1
         self.took_s.append(took_s)
         missed = found.residual > TOLERANCE

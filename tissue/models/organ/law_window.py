@@ -1,8 +1,8 @@
 """Windows on an organ in which its hyperelastic law is solved.
 
 A window is the whole organ, or a region around a point on its surface. Outside the region the organ
-is linear (`tissue.fem.region`). When a tool slides out of one window, another window is used. Crept
-forces are the contact forces after creep of the tissue, see `tissue.models.organ.law`.
+is linear (`tissue.fem.region`). When the contact leaves a window, the nearest window is used next.
+Crept forces are the contact forces after creep of the tissue, see `tissue.models.organ.law`.
 """
 
 from collections.abc import Callable
@@ -26,14 +26,14 @@ from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan, ToolPath
 from tissue.models.state import State, copied, put_back
 
 HOP = 0.5
-"""Largest distance of a contact from the centre of its window, divided by the region's radius.
+"""Largest distance of a contact from the centre of its window, divided by the law's radius.
 
-The radius of a window is the region's radius plus this distance. In a deep press of an organ that
-stiffens to twice the linear force, the error of the force at rest is 3.3 % with 0.25 and 2.0 % with
-0.5.
+The law's radius is `OrganLaw.region_m`. The radius of a window is the law's radius plus this
+distance. In a deep press with twice the force of the linear law, the error of the force after the
+motion is 3.3 % with 0.25 and 2.0 % with 0.5.
 """
 LOADED = 1e-3
-"""Smallest crept force of a node that gets a spring, relative to the largest crept force.
+"""Smallest crept force of a node that a spring holds, relative to the largest crept force.
 
 Crept forces are the contact forces after creep of the tissue. At places that the tool has left, the
 crept forces decay but never reach zero. The value is chosen.
@@ -55,7 +55,7 @@ class LawWindow:
     Attributes
     ----------
     follower
-        Solver of the window's equilibria.
+        Solver for the equilibria of the nodes in the window.
     inside
         Touchable nodes in the window, as indices into all touchable nodes, in rising order, shape
         (w,).
@@ -162,14 +162,15 @@ class LawWindows:
         self._count = organ.space.node_count
 
     def choose(self, nodal_forces_N: Array, crept_N: Array) -> bool:
-        """Change to the window nearest to the contact; return True if the window changed.
+        """Use the window nearest to the contact from now on; return True if the window changed.
+
+        A new window starts from the displacement of the last window. Nodes outside the last window
+        start from the displacement by the linear law.
 
         Parameters
         ----------
         nodal_forces_N, crept_N
             Contact forces, and crept forces (contact forces after creep) [N], each of shape (t, 3).
-            The new window starts from the displacement of the last window. Nodes outside the last
-            window start from the displacement by the linear law.
         """
         size_N = np.linalg.norm(nodal_forces_N, axis=1)
         if len(self._windows) == 1 or not size_N.any():
@@ -189,9 +190,9 @@ class LawWindows:
         return True
 
     def state(self) -> State:
-        """Copy the state that later solves depend on.
+        """Return a copy of the state on which the next equilibria depend.
 
-        Windows that are not in use need no solution in the state, because they restart when the
+        The state contains the solution of the window in use only. Other windows restart when the
         tool reaches them.
         """
         return {
@@ -201,7 +202,7 @@ class LawWindows:
         }
 
     def restore(self, state: State) -> None:
-        """Return to a copied state."""
+        """Restore a state that `state` has returned."""
         self.now = self._windows[state["place"]]
         self.now.follower.restore(state["now"])
         for window, record in zip(self._windows, state["records"], strict=True):
@@ -216,14 +217,14 @@ class LawWindows:
 def _follower_of(
     organ: SoftOrgan, law: Hyperelastic, cell_factors: Array, nodes: Ints
 ) -> QuasiNewton:
-    """Return the solver for consecutive equilibria of an organ.
+    """Return the solver for the equilibria of an organ under changing forces.
 
-    The compliance between ``nodes`` can be read from the factors of this solver.
+    The compliance between the given nodes can be read from the factors of this solver.
 
     Raises
     ------
     InputError
-        If the mesh is too large for a factor.
+        If the mesh is too large for a factorisation.
     """
     at_rest = organ.factor.solver
     if not isinstance(at_rest, DirectSolver):
@@ -254,10 +255,10 @@ def whole_window(organ: SoftOrgan, law: OrganLaw, touchable: Ints) -> LawWindow:
 
 
 def window_centres(points_m: Array, apart_m: float) -> Array:
-    """Return a subset of points [m], shape (k, 3), as centres of windows.
+    """Select centres of windows from the points on a path [m]; the result has shape (k, 3).
 
-    Every one of the p given points is at most `apart_m` from one of the k returned points. The
-    given points are processed in their order along a path.
+    The distance of every given point from the nearest selected point is at most `apart_m`. The
+    points must be in their order along the path.
     """
     centres = points_m[:1]
     for point in points_m[1:]:
@@ -269,7 +270,7 @@ def window_centres(points_m: Array, apart_m: float) -> Array:
 def window_of(
     organ: SoftOrgan, law: OrganLaw, touchable: Ints, centre_m: Array, radius_m: float
 ) -> LawWindow:
-    """Return a window on the cells within a radius [m] of a centre [m].
+    """Return a window that consists of the cells within a radius [m] of a centre [m].
 
     On a coarse mesh, cells are added so that no node in contact lies on the border of the window.
     """

@@ -1,4 +1,4 @@
-"""Soft organ under a probe: contact at every tick, and fields at the times of frames.
+"""Soft organ under a probe: contact forces at every tick, and fields for display.
 
 Three conditions are assumed: every modulus of the body relaxes with the same Prony series,
 Poisson's ratio is constant, and the supports are rigid. The elastic-viscoelastic correspondence
@@ -6,14 +6,14 @@ principle then gives the displacement of the surface under any history of nodal 
 
     u(t) = integral j(t - s) d(W f)(s),    W the instantaneous elastic compliance, j the creep function
 
-(Lee 1955, Q. Appl. Math. 13:183). For the next tick, with the exact exponential step of each creep
-term::
+(Lee 1955, Q. Appl. Math. 13:183). With the exact exponential step of each creep term, the
+displacement at the next tick is::
 
     u = instant_factor W f + offset,
 
-where the offset of each surface node is known before the tick. A contact solver uses the scaled
-compliance and adds the offset to the free surface; it needs no other change. The contact may have
-any unilateral condition, with or without friction. It may grow, shrink, move or lift off.
+where the offset of each surface node is known before the tick. A contact solver for elastic organs
+can therefore be used. It only has to scale the compliance and to add the offset to the surface
+without contact. The contact area may grow, shrink, move or vanish, with or without friction.
 
 With a hyperelastic law the tissue is quasi-linear viscoelastic. The crept forces are::
 
@@ -27,13 +27,13 @@ The displacement is u(F), the elastic response of the law to F. The law is solve
 W H is the offset of the linear organ. When the law replaces W, W H is computed anew from the
 history of the forces.
 
-A usual shortcut is to relax the elastic contact force. It is correct only while the contact grows
-(Lee and Radok 1960, J. Appl. Mech. 27:438; Ting 1966, J. Appl. Mech. 33:845). When the tool
-retreats, the surface rises slowly and separates from the tool, but with this shortcut the surface
-still pulls on the tool. The method here and the shortcut are valid for small strains without
-inertia. Both methods are not valid if parts of the organ relax with different series, or if only
-the shear modulus relaxes. The second case is allowed if the bulk modulus is so large that its
-relaxation has no effect (Poisson's ratio near 0.5).
+A usual shortcut is to relax the elastic contact force. The shortcut is correct only while the
+contact grows (Lee and Radok 1960, J. Appl. Mech. 27:438; Ting 1966, J. Appl. Mech. 33:845). When
+the tool retreats, the surface rises slowly and separates from the tool, but with this shortcut the
+surface still pulls on the tool. The method here and the shortcut are valid for small strains
+without inertia. Neither method is valid if parts of the organ relax with different series. If only
+the shear modulus relaxes, the methods are valid only for a Poisson's ratio near 0.5. Relaxation of
+the bulk modulus has no effect in that case.
 """  # noqa: E501 a table
 
 from dataclasses import dataclass
@@ -57,21 +57,23 @@ from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.system.blas_threads import one_blas_thread
 
 LINEAR_ERROR = ((0.37, 0.05), (0.57, 0.1))
-"""Depths relative to the radius of a ball, and relative error of the linear force at each depth.
+"""Pairs of depth and relative error of the linear force; a depth is divided by the ball's radius.
 
-The reference is a neo-Hookean force. The depths were measured on a block, a procedural liver and a
-scanned liver (0.36-0.39 and 0.56-0.585): `python tests/bench/chart_liver.py`.
+The reference is the force of a neo-Hookean law. The depths were computed for a block, a procedural
+liver and a scanned liver, with results of 0.36-0.39 and 0.56-0.585: `python
+tests/bench/chart_liver.py`.
 """
 SETTLED = 1e-3
-"""Relative change of the force between two solves at which contact and law have converged."""
+"""Relative change of the force at which alternating solutions of contact and law have converged."""
 STATE = ("_ticks", "_unsettled", "_limits", "_touched_m", "_travel_m", "_tip_m", "_offset_m")
-"""Names of the attributes that later ticks depend on, besides contact, law and creep."""
+"""Names of the attributes in a copied state, in addition to contact, law and creep."""
 LOOK_EVERY = 20
-"""Ticks between two searches for nodes whose compliance will be needed; see `LOOK_M`."""
+"""Number of ticks between two searches for nodes near the tool; see `LOOK_M`."""
 LOOK_M = 5e-3
-"""Distance around the tool within which nodes are searched every `LOOK_EVERY` ticks [m].
+"""Distance from the tool within which the compliance of nodes is computed in advance [m].
 
-A tool at 100 mm/s moves by 2 mm between two searches.
+The nodes are searched every `LOOK_EVERY` ticks. A tool at 100 mm/s moves by 2 mm between two
+searches.
 """
 
 
@@ -83,13 +85,14 @@ class ContactSolution:
     ----------
     path, basis_size
         Method used to compute the compliance of the touchable nodes, and number of vectors of a
-        reduced basis. With None as the method, the columns are computed from the organ's factor and
-        kept for the next tool.
+        reduced basis. If the method is None, columns of the compliance are computed from the
+        organ's factor and stored for the next tool.
     tolerance, sweeps
-        Tolerance and sweeps of the contact solver, see `SurfaceContact`. The defaults suit a tick
-        of 1 ms.
+        Tolerance of the contact solver, and largest number of sweeps, see `SurfaceContact`. The
+        defaults suit a tick of 1 ms.
     cores
-        Number of processor cores that share a shell's projection; default: all cores.
+        Number of processor cores that share the projection of a shell's points onto the organ;
+        default: all cores.
     """
 
     path: CompliancePath | None = None
@@ -124,15 +127,16 @@ class LiverModel:
     touchable
         Nodes that the tool can touch, shape (t,).
     waits
-        True if a tick waits for a solve of a hyperelastic law that is due. Set the attribute to
-        False for a real device, if possible before `place`. While a tick waits, a device holds its
-        last force, and the stability check of the loop does not include this wait.
+        True if a tick waits until the equilibrium of a hyperelastic law is computed. Set this
+        attribute to False for a real device, if possible before `place`. During a wait, the device
+        holds its last force, and the stability check of the simulation loop does not include the
+        wait.
 
     Raises
     ------
     InputError
-        If the tool touches nothing or only nodes on supports, or if the compliance of the touchable
-        nodes would not fit into memory.
+        If the tool's path touches no surface node or only supported nodes, or if the compliance of
+        the touchable nodes does not fit into memory.
     """
 
     measure_names: tuple[str, ...] = ("indentation_mm", "contact_points", "sweeps")
@@ -205,7 +209,7 @@ class LiverModel:
 
     @property
     def fields(self) -> FieldSeries:
-        """Displacement, strain, stress and reaction; computed after the end of the run."""
+        """Displacement, strain, stress and reaction forces, computed after the end of the run."""
         return self._fields.series
 
     def place(self, motion: ToolMotion) -> None:
@@ -243,7 +247,7 @@ class LiverModel:
             self.notices.append(f"the contact did not settle: {result.outcome.value}")
 
     def state(self) -> State:
-        """Copy the state that later ticks depend on.
+        """Return a copy of the state on which later ticks depend.
 
         The factor of a hyperelastic law is shared, not copied. A pickled state does not contain the
         factor.
@@ -259,12 +263,13 @@ class LiverModel:
         }
 
     def restore(self, state: State) -> None:
-        """Return to a copied state.
+        """Restore a state that `state` has returned.
 
         Raises
         ------
         InputError
-            If the state is of an organ with another mesh, or another kind of law or relaxation.
+            If the state belongs to an organ with another mesh, or with another kind of law or
+            relaxation.
         """
         creeps = len(state["creep"]) > 0
         if (self._law is None) != (state["law"] is None) or (self._creep is None) == creeps:
@@ -285,7 +290,7 @@ class LiverModel:
             put_back(each, kept)
 
     def _integrals(self) -> tuple[HereditaryIntegral, ...]:
-        """Return the hereditary integrals; none if the tissue does not creep."""
+        """Return the hereditary integrals, or an empty tuple if the tissue does not creep."""
         return () if self._creep is None else (self._creep, self._forces)
 
     def respond(self, motion: ToolMotion) -> Response:
@@ -314,7 +319,7 @@ class LiverModel:
         return response
 
     def wait_for_background(self, time_s: float) -> None:
-        """Solve a hyperelastic law if a solve is due."""
+        """Solve for the equilibrium of a hyperelastic law if an interval has ended."""
         if self._law is not None:
             # A tool may take two steps in the tick of its first contact.
             self._ticks = round(time_s / self._step_s)
@@ -325,15 +330,15 @@ class LiverModel:
     def converge(self, motion: ToolMotion, *, limit: int) -> float:
         """Solve contact and hyperelastic law in turn at the present pose until the force converges.
 
-        Return the last change of the force, relative to the force. This change is 0 for a linear
-        organ, which needs only the contact solve of the tick.
+        Return the last change of the force, relative to the force. For a linear organ this change
+        is 0, because the contact is solved once.
 
         Parameters
         ----------
         motion
-            Pose of the tool, as in the last tick.
+            Pose of the tool in the last tick.
         limit
-            Largest number of solves.
+            Largest number of solutions of contact and law.
         """
         result = self.contact.result
         changed = 0.0
@@ -352,7 +357,7 @@ class LiverModel:
         return changed
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Store the forces if a frame is due."""
+        """Store the contact forces if a frame of the display is due."""
         # 1e-9 s: the time of a tick is rounded.
         if time_s >= self._fields.next_s - 1e-9:
             forces = self.contact.result.nodal_forces_N
@@ -360,7 +365,7 @@ class LiverModel:
             self._fields.keep(time_s, forces, self._crept_N, moved)
 
     def finish(self) -> None:
-        """Stop the background work, and compute the fields of the stored frames."""
+        """Stop the background work, and compute the displayed fields at all stored times."""
         if self._lazy is not None:
             self._lazy.stop()
         if self._law is not None:
@@ -371,7 +376,7 @@ class LiverModel:
         self._fields.notices.clear()
 
     def summary(self) -> dict[str, object]:
-        """Return the statistics of a hyperelastic law's solves for the run's summary.
+        """Return statistics of the solutions of a hyperelastic law, for the summary of the run.
 
         The dictionary is empty for a linear organ.
         """
@@ -416,7 +421,7 @@ class LiverModel:
             self._crept_N += self._forces.history
 
     def _state(self) -> TickState:
-        """Return the contact state of the last tick, for a solve of the law."""
+        """Return the contact state of the last tick, from which the law is solved."""
         assert self._law is not None
         result = self.contact.result
         return TickState(
@@ -428,7 +433,7 @@ class LiverModel:
         )
 
     def _take(self, found: TickState, time_s: float) -> None:
-        """Use the offset and the compliance of a solve, without a jump of the displacement."""
+        """Use a new offset and compliance of the law, without a jump of the displacement."""
         law = self._law
         assert law is not None
         held = None

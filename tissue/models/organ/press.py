@@ -23,31 +23,31 @@ slanted press by only 0.01 %.
 """
 TOLERANCE = 1e-5
 SWEEPS = 5000
-"""Largest number of sweeps of the contact solver; a press need not keep to the time of a tick.
+"""Largest number of sweeps of the contact solver; a press need not run in real time.
 
 With this limit, the error of the stress in a rod under a flat punch is below 1 %.
 """
 PER_RELAXATION = 5
 """Smallest number of steps per shortest relaxation time of an organ that relaxes; chosen."""
 LAW_STEPS = 25
-"""Number of steps of a press under a hyperelastic law, each solved until contact and law agree."""
+"""Number of steps of a press under a hyperelastic law."""
 SOLVES = 3
 LAST_SOLVES = 20
-"""Largest number of alternating solves of contact and law in the last step of a press.
+"""Largest number of alternating solutions of contact and law in the last step of a press.
 
-In the steps before, the largest number is `SOLVES`.
+In the earlier steps, the largest number is `SOLVES`.
 """
 UNSETTLED = 0.01
-"""Relative change of the force in the last solve above which a notice is reported."""
+"""Relative change of the force in the last solution above which a notice is reported."""
 POSES = 60
-"""Number of poses along the press at which the touchable surface is searched.
+"""Number of poses along the press at which surface nodes near the tool are searched.
 
 The force of a slanted press is the same for 5 to 240 poses, because only the last poses matter.
 """
 CLEARANCES = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
-"""Possible start distances of the tool from the target, relative to the tool's size.
+"""Start distances of the tool from the target that are tried, relative to the tool's size.
 
-The first distance at which the tool is clear of the organ is used.
+The first distance at which the tool does not touch the organ is used.
 """
 SLANTED = 0.5
 """Largest distance from the first touch to the target, relative to the tool's size.
@@ -55,7 +55,7 @@ SLANTED = 0.5
 The distance is 0.41 for a ball that approaches at 45 degrees.
 """
 HALVINGS = 30
-"""Number of halvings of the path in the search for the first touch; the error is 1 nm."""
+"""Number of halvings of the path in the search for the first touch, with an error of 1 nm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ def press(
     hold_s: float,
     report: Progress = silent,
 ) -> PressCurve:
-    """Press a tool along its axis towards a point of an organ's surface, and hold it there.
+    """Press a tool along its axis towards a point on an organ's surface, then hold the tool.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def press(
     point_m
         Target of the tool's tip on the surface [m], shape (3,).
     rotation
-        Rotation from tool to world, shape (3, 3); the tool moves along its -z.
+        Rotation from tool to world, shape (3, 3). The tool moves along its negative z axis.
     depth_m
         Travel of the tool after its first touch [m].
     speed_m_s, hold_s
@@ -123,7 +123,7 @@ def press(
     Raises
     ------
     InputError
-        If the tool has no free path to the target, or if the target lies on a support.
+        If the organ blocks the path of the tool to the target, or if the target lies on a support.
     """
     along = -rotation[:, 2]
     start_m = point_m - _clearance_m(organ, probe, point_m, rotation) * along
@@ -214,8 +214,8 @@ def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: 
 def _first_touch(contact: SurfaceContact, start_m: Array, end_m: Array, rotation: Array) -> Array:
     """Return the tip position at the first touch [m], shape (3,).
 
-    At this position the tool is still clear of the organ. A contact begins within the last interval
-    of `HALVINGS`, about 1 nm farther along the path.
+    At this position the tool does not touch the organ yet. The contact begins at most 1 nm farther
+    along the path.
     """
 
     def touches(share: float) -> bool:

@@ -1,9 +1,9 @@
 """Tools that press on an organ: a sphere, a flat cylinder, and any shape as a shell of points.
 
-A tool's tip is the origin of its frame, and its z axis runs from the tip to the shank. Each tool
-has the kind and the parameters of the distance function in the contact kernels (`kind`, `size_m`).
-`spacing_m` is the spacing of the organ's contact points at which the tool cannot slip between these
-points.
+A tool's tip is the origin of its frame, and its z axis runs from the tip to the shank. `kind` and
+`size_m` select the tool's distance function in the contact kernels and its parameters. `spacing_m`
+is a distance between the organ's contact points that is small enough to keep the tool from slipping
+between them.
 """
 
 from abc import ABC, abstractmethod
@@ -19,11 +19,11 @@ from meshes.base.errors import InputError, require_positive
 from meshes.surfaces.triangle_files import read_triangles
 
 SPACINGS = 2.0
-"""Number of contact points along a tool's radius, so that the tool cannot slip between points."""
+"""Number of contact points along a tool's radius, so the tool cannot slip between two points."""
 
 
 class ProbeShape(ABC):
-    """Interface of a tool in contact."""
+    """Interface of tools that press on an organ."""
 
     kind: int
     """Index of the tool's distance function, see `kernels.contact_state`."""
@@ -33,13 +33,13 @@ class ProbeShape(ABC):
     def size_m(self) -> tuple[float, float]:
         """Two lengths [m]: radius of the tool, and radius of its rounded edge.
 
-        For a shell the lengths are the radius of a ball around the shell, and the height of the
-        ball's centre above the tip.
+        For a shell of points, the lengths are the radius of a ball that holds all points, and the
+        height of the ball's centre above the tip.
         """
 
     @property
     def spacing_m(self) -> float:
-        """Largest spacing of the organ's contact points [m]: half the radius."""
+        """Largest distance between contact points on the organ [m]: half the tool's radius."""
         return self.size_m[0] / SPACINGS
 
     @abstractmethod
@@ -79,14 +79,14 @@ class SphereProbe(ProbeShape):
 
 @dataclass(frozen=True)
 class CylinderProbe(ProbeShape):
-    """Flat punch: a face through the tip, a rounded edge, and a side without an upper end.
+    """Flat cylindrical punch with a rounded edge; the cylinder extends upwards without an end.
 
     Attributes
     ----------
     radius_m
-        Radius of the side [m].
+        Radius of the cylinder [m].
     edge_m
-        Radius of the edge's rounding, smaller than the radius of the side [m].
+        Radius of the rounding of the edge [m], smaller than the radius of the cylinder.
     """
 
     radius_m: float
@@ -108,7 +108,7 @@ class CylinderProbe(ProbeShape):
 
     @property
     def size_m(self) -> tuple[float, float]:
-        """Radii of the side and of the edge [m]."""
+        """Radius of the cylinder and radius of the rounded edge [m]."""
         return self.radius_m, self.edge_m
 
     def distance(self, points_m: Array) -> Array:
@@ -140,7 +140,7 @@ class ShellProbe(ProbeShape):
     areas_m2: Array
     kind = SHELL
     spacing_m = np.inf
-    """Infinite spacing of the organ's points [m], because the shell has its own points."""
+    """Infinite spacing [m], because the shell has its own contact points."""
 
     @classmethod
     def from_mesh(
@@ -148,8 +148,8 @@ class ShellProbe(ProbeShape):
     ) -> "ShellProbe":
         """Return points spread over the surface of a mesh.
 
-        The points are centres of the mesh's triangles. Large triangles are divided, and points that
-        lie too close together are left out, to get about the given number of points.
+        The points are centres of the mesh's triangles. To get about the given number of points,
+        large triangles are divided, and points that lie too close together are left out.
 
         Parameters
         ----------
@@ -164,7 +164,7 @@ class ShellProbe(ProbeShape):
         Raises
         ------
         InputError
-            If the mesh is not closed, so that it has no outside.
+            If the mesh is not closed, because the outward normals are then not defined.
         """
         import trimesh
 
@@ -192,7 +192,7 @@ class ShellProbe(ProbeShape):
 
     @property
     def size_m(self) -> tuple[float, float]:
-        """Radius of a ball that holds all points, and the height of its centre on the axis [m]."""
+        """Radius of a ball that holds all points, and height of its centre above the tip [m]."""
         height = 0.5 * float(self.points_m[:, 2].min() + self.points_m[:, 2].max())
         return float(np.linalg.norm(self.points_m - [0.0, 0.0, height], axis=1).max()), height
 
@@ -205,7 +205,7 @@ class ShellProbe(ProbeShape):
 
 
 def _thinned(centres: Array, normals: Array, areas: Array, side: float) -> tuple[Ints, Array]:
-    """Return one point per cube and direction of the surface, and the area of each point.
+    """Return one point for each cube of space and surface direction, and the area of each point.
 
     Space is divided into cubes with the edge `side`. The direction of the surface is one of six:
     along or against x, y or z. The points are returned as indices into `centres`, shape (k,).

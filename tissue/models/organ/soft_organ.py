@@ -30,10 +30,10 @@ from tissue.models.organ.compliance import (
 from tissue.models.organ.probe import ProbeShape
 
 MARGIN_EDGES = 0.25
-"""Margin around the tool's path in which the surface may be touched [mesh edges].
+"""Margin around the tool's path within which surface nodes count as touchable [mesh edges].
 
-The margin is needed because the surface moves under the tool. The value is chosen: a deep straight
-press has the same force with 0, 0.25 and 1.
+The margin is needed because the surface moves under the tool. The value is chosen: the force of a
+deep straight press is equal for 0, 0.25 and 1.
 """
 
 
@@ -84,8 +84,8 @@ def _touchable_patch(space: Space, tool: ToolPath) -> tuple[Ints, Ints]:
 def linear_triangles(faces: Ints) -> Ints:
     """Return faces as linear triangles.
 
-    Faces of three nodes stay as they are. Faces of six nodes (corners, then middles of edges 01,
-    12, 02) become four triangles each.
+    Faces with three nodes are returned unchanged. Every face with six nodes (corners, then middles
+    of edges 01, 12, 02) is divided into four triangles.
     """
     if faces.shape[1] == 3:
         return faces
@@ -95,9 +95,9 @@ def linear_triangles(faces: Ints) -> Ints:
 
 _spaces: Kept[Space] = Kept(2)
 _patches: Kept[tuple[Ints, Ints]] = Kept(2)
-"""Cache of touchable patches by mesh, element order, tool and path.
+"""Cache of the surface nodes and triangles near a tool's path, by mesh, order, tool and path.
 
-The cache saves time in a study, which presses one mesh in every trial.
+The cache saves time in a study in which every trial presses the same mesh.
 """
 
 
@@ -133,14 +133,15 @@ class OrganLaw:
     Attributes
     ----------
     law
-        Law of a cell with the factor 1.
+        Hyperelastic law of a cell with the factor 1.
     cell_factors
         Factor of the law's moduli in each cell, shape (m,).
     interval_s
-        Time between two solves [s]; 0 for an organ that is solved only on request
-        (`LiverModel.converge`).
+        Time between two solutions of the law [s]; 0 for an organ that is solved only by
+        `LiverModel.converge`.
     region_m
-        Radius around the contact within which the law applies [m]. The tissue outside is linear.
+        Radius around the contact within which the law applies [m]. Outside this radius the organ is
+        linear.
     """
 
     law: Hyperelastic
@@ -157,24 +158,24 @@ class SoftOrgan:
     mesh
         Mesh of tetrahedra.
     elasticity
-        Elasticity of each cell [Pa], in the format of `tissue.fem.assembly.assemble`.
+        Elastic constants of each cell [Pa], in the format of `tissue.fem.assembly.assemble`.
     held
         Nodes of the mesh that do not move.
     order
         Order of the tetrahedra, 1 or 2.
     capsule
-        Membrane on the surface; None for no membrane.
+        Elastic membrane on the surface; None for an organ without a capsule.
     density_kg_m3
         Density [kg/m3]. If it is not zero, the organ is loaded by its own weight, along -z, before
         a tool touches it.
     prony
-        Prony series of the relaxation of every modulus; None for an elastic organ.
+        Prony series with which every modulus relaxes; None for an elastic organ.
     friction
-        Coulomb's coefficient between a tool and the organ.
+        Coefficient of Coulomb friction between a tool and the organ.
     law
         Hyperelastic law whose small-strain limit is `elasticity`; None for the linear law. With a
-        hyperelastic law the capsule is still linear, relaxation is quasi-linear, and a weight is
-        not supported.
+        hyperelastic law, the capsule is linear, relaxation is quasi-linear, and the weight must be
+        zero.
     device
         Warp device name.
     """
@@ -223,13 +224,13 @@ class SoftOrgan:
 
     @cached_property
     def body(self) -> HeldBody:
-        """Body with the stiffness of organ and capsule [N/m], and with the supports.
+        """Body with supports; its stiffness [N/m] includes the organ and the capsule.
 
         Raises
         ------
         InputError
-            If the held nodes do not prevent every rigid motion of the organ, or of a loose part of
-            the organ.
+            If the held nodes do not prevent every rigid motion of the organ, or of an unconnected
+            part of the organ.
         """
         # The cells of a hyperelastic law are not softened, and its region must match the cells
         # around it.
@@ -251,11 +252,11 @@ class SoftOrgan:
         return KeptColumns(self.factor, np.unique(self.space.faces))
 
     def expect(self, near_m: Array, within_m: float) -> None:
-        """Request one factor from which the compliance of the surface near some points can be read.
+        """Request a stiffness factor that contains the compliance of the surface near some points.
 
-        Nodes within the distance `within_m` of a point in `near_m` [m], shape (k, 3), are near. The
-        request has no effect if the factor is already made. A press at another place needs
-        additional back-substitutions before its first step.
+        `near_m` are the points [m], shape (k, 3), and `within_m` is the largest distance of a node
+        from a point. The request has no effect if the factor was computed before. A press at
+        another place then needs additional back-substitutions before its first step.
         """
         surface = np.unique(self.space.faces)
         near = cKDTree(near_m).query(self.space.nodes_m[surface])[0] <= within_m
@@ -265,7 +266,7 @@ class SoftOrgan:
     def rest(self) -> tuple[Array, Array]:
         """Nodal load of the weight [N] and displacement under this load [m], each of shape (n, 3).
 
-        Load and displacement are zero without a density.
+        If the density is zero, load and displacement are zero.
         """
         load = np.zeros((self.space.node_count, 3))
         if self._density is None:
@@ -305,8 +306,8 @@ class SoftOrgan:
     ) -> tuple[Array, LazyCompliance | None]:
         """Return the compliance of touchable nodes [m/N], and the object that computes its columns.
 
-        See `compliance_of`. If `path` is None, the columns are computed from the organ's factor and
-        kept for the next tool.
+        See `compliance_of`. If `path` is None, columns of the compliance are computed from the
+        organ's factor and stored for the next tool.
 
         Raises
         ------

@@ -31,19 +31,20 @@ from tissue.models.tooth.multigrid import GridHierarchy
 from tissue.models.tooth.stiffness import CellStiffness
 
 LEAST_CURVATURE = 1e-12
-"""Fraction of ``p . D p`` below which ``p . K p`` is a rounding error; D is the diagonal of K.
+"""Ratio of ``p . K p`` to ``p . D p`` below which ``p . K p`` is a rounding error.
 
-Below this fraction, p is a motion without resistance. For a tooth of 1e5 nodes in a ligament a
-million times softer than the tooth, the smallest ratio of ``p . K p`` to ``p . D p`` is 1e-8.
+K is the stiffness, D its diagonal and p a displacement. Below this ratio, p is a motion without
+resistance. For a tooth of 1e5 nodes in a ligament a million times softer than the tooth, the
+smallest ratio of ``p . K p`` to ``p . D p`` is 1e-8.
 """
 
 
 LEAST_RESTRAINT = 1e-9
-"""Relative eigenvalue of a part's restraint below which the part can move.
+"""Ratio of eigenvalues below which the supports of a part do not prevent every rigid motion.
 
-The restraint is the stiffness against rigid motions. Its smallest eigenvalue is divided by its
-largest eigenvalue. Rounding errors give a ratio of 1e-16. A part that is held at three corners of a
-cell has a ratio of 1e-2.
+The ratio is the smallest eigenvalue divided by the largest eigenvalue of the stiffness against
+rigid motions. Rounding errors give a ratio of 1e-16. A part that is held at three corners of a cell
+has a ratio of 1e-2.
 """
 
 
@@ -58,8 +59,8 @@ def supported_cells(
 
     ``filled`` is a mask of the cells with material, shape (c,). ``springs_cell`` holds the cell of
     each spring. Filled cells that are connected by faces form a part. A part is supported if its
-    supports, and the nodes that it shares with supported parts, prevent every rigid motion. A part
-    that is connected to the rest only by one node or one edge is not supported. The part would
+    supports, together with nodes shared with other supported parts, prevent every rigid motion. A
+    part that is connected to the rest only by one node or one edge is not supported. The part would
     rotate freely about this node or edge, and the stiffness would be singular.
     """
     at = tuple(grid.cell_place.T)
@@ -114,7 +115,7 @@ def _restrained(grid: HexGrid, nodes: Integers, held: Flags, springs: PointSprin
 
 
 INNER_STRENGTH = 0.1
-"""Strength of the stabilisation of cells with few particles.
+"""Relative strength of the stabilisation of cells with few particles.
 
 The value is the smallest with which no cell has a singular stiffness. The error of the solution is
 close to the error without stabilisation (table in test_tooth_sphere.py).
@@ -122,13 +123,15 @@ close to the error without stabilisation (table in test_tooth_sphere.py).
 LEAST_FILL = 1e-3
 """Filled fraction below which a cell is treated as if it carried no load.
 
-The stiffness of such a cell is smaller than the change of stiffness by a shift of one particle.
+The stiffness of such a cell is smaller than the change of stiffness when one particle is shifted.
 """
 MORE_ITERATIONS = 1.5
-"""Growth factor of the number of iterations at which the coarsest grid is factorised anew.
+"""Increase of the number of iterations at which the coarsest grid is factorised again.
 
-The value is chosen. In the molar scene with cells of 0.6 mm, 25 solves take 58 iterations for any
-factor from 1 to 3.
+The value is a factor: number of iterations now, divided by the number at the last factorisation.
+
+The value is chosen. In the molar scene with cells of 0.6 mm, 25 solutions take 58 iterations in
+total for any value from 1 to 3.
 """
 TOLERANCE = 1e-4
 
@@ -142,8 +145,8 @@ class Change:
     cells
         Indices of the cells whose stiffness changed, shape (k,).
     debris
-        Indices, in the caller's order, of the particles that have lost their connection to a
-        support, shape (d,).
+        Indices of the particles that have lost their connection to a support, shape (d,). The
+        indices refer to the caller's order of particles.
     """
 
     cells: Int32s
@@ -160,8 +163,8 @@ class ParticleBody:
     grid
         Cells that hold all particles, from :meth:`HexGrid.around`.
     supports, springs
-        Supports of the grid's nodes, and springs from points in the grid's cells to the ground. A
-        spring is removed together with the cell that holds its point.
+        Supports of the grid's nodes, and springs that connect points in the grid's cells to the
+        ground. A spring is removed together with the cell that holds its point.
     inner_strength
         Stabilisation of cells with few particles, see :mod:`kernels.particle_stiffness`; 0 switches
         it off.
@@ -176,7 +179,7 @@ class ParticleBody:
     carrying
         True for nodes of a cell that carries load, bool, shape (n,).
     displacement_m
-        Displacement of the last solve [m], shape (n, 3), from which the next solve starts.
+        Last solution for the displacement [m], shape (n, 3). The next solution starts from it.
     """
 
     def __init__(
@@ -231,7 +234,7 @@ class ParticleBody:
         self._touched[self.cells.particle_cell[rows[changed]]] = True
 
     def update(self) -> Change:
-        """Update stiffness, unsupported cells and preconditioner after changes of particles.
+        """Update stiffness, unsupported cells and preconditioner after particles have lost volume.
 
         The stiffness is summed again only for cells with changed particles.
         """
@@ -353,22 +356,25 @@ class ParticleBody:
         estimated as the larger of two values. The first value is ``sqrt(r . B r)``, with the
         residual r and the preconditioner B. The second value is ``sqrt(r . D^-1 r / 24)``, with the
         diagonal D of the stiffness K. The second value is a lower bound of the error: a cell's 24
-        eigenvalues of ``D^-1 K`` are not negative, and their sum is 24. This value detects a load
-        on a motion without resistance, which the preconditioner leaves out.
+        eigenvalues of ``D^-1 K`` are not negative, and their sum is 24. The second value also
+        detects a load along a motion without resistance, because the preconditioner ignores this
+        motion.
 
         Parameters
         ----------
         load_N
-            Forces at the nodes. A force in the direction of a held component acts on the support.
+            Forces at the nodes [N], shape (n, 3). The support carries a force in the direction of a
+            held component.
         tolerance
             Allowed relative error in the energy norm. The relative error of the stress, averaged
             over the whole body, is about as large.
         limit
             Largest number of iterations.
         cold
-            True to start from zero instead of the last solution.
+            True to start the iterations from zero instead of the last solution.
         start_m
-            First guess instead of the last solution, shape (n, 3).
+            Displacement [m] from which the iterations start instead of the last solution, shape (n,
+            3).
         """
         held = self.supports.displacement_m
         lost = (load_N != 0.0) & ~self.carrying[:, None] & ~self.supports.fixed
@@ -413,7 +419,7 @@ class ParticleBody:
     def matrix(self) -> csr_matrix:
         """Return the assembled stiffness [N/m], shape (3 n, 3 n).
 
-        Springs are included. Rows and columns of held components are empty.
+        The matrix includes the springs. Rows and columns of held components are empty.
         """
         live = self.cells.live > 0
         unknown = (3 * self.grid.cell_nodes[live][:, :, None] + np.arange(3)).reshape(-1, 24)

@@ -1,4 +1,4 @@
-"""Stress and displacement of a tooth during drilling, solved at intervals of many ticks."""
+"""Stress and displacement of a tooth during drilling, computed at intervals of many ticks."""
 
 from dataclasses import dataclass
 from time import perf_counter
@@ -31,7 +31,7 @@ from tissue.models.tooth.recovery import (
 )
 
 TOOTH = ("enamel", "dentin", "pulp", "caries")
-"""Names of the layers that are filled with particles.
+"""Names of the layers whose voxels become particles.
 
 The ligament is modelled as springs, and the bone behind it does not move.
 """
@@ -45,22 +45,22 @@ The moduli are about 1 GPa and 18.6 GPa. Measured values of carious dentin are 0
 """
 
 TOLERANCE = 7e-4
-"""Relative error in the energy norm at which a solve ends.
+"""Relative error in the energy norm at which the solver stops.
 
-A last correction then reduces the error to a third of this value. The discretisation error next to
-a cut is a hundred times larger with cells of 0.3 mm.
+A last correction then reduces the error to a third of this value. With cells of 0.3 mm, the
+discretisation error next to a cut is a hundred times larger.
 """
 _MARGIN = 6
-"""Voxels of air added around a tooth, because the tooth may fill its voxel volume.
+"""Number of layers of air voxels that are added around the voxel volume of a tooth.
 
-The surface normals are smoothed with a Gaussian of 1.5 voxels, which ends after four standard
-deviations. The added voxels cover this distance.
+The tooth may reach the border of its volume. The surface normals are smoothed with a Gaussian of
+1.5 voxels that is cut off at four standard deviations. The added layers cover this distance.
 """
 
 
 @dataclass(frozen=True)
 class SolveRecord:
-    """Duration and outcome of one solve."""
+    """Duration and outcome of one solution for the stress."""
 
     time_s: float
     iterations: int
@@ -70,7 +70,7 @@ class SolveRecord:
 
 
 class StressField:
-    """Particle finite elements of a whole tooth.
+    """Solver for stress and displacement of a whole tooth, with particle finite elements.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class StressField:
     ligament_thickness_m
         Thickness of the ligament [m].
     contact_m
-        Radius within which the cutter's force is spread [m], such as the radius of the cutter.
+        Radius over which the cutter's force is distributed [m], such as the radius of the cutter.
     constants
         Elastic constants of the layers.
     device, cores
@@ -90,14 +90,14 @@ class StressField:
     Attributes
     ----------
     series
-        Mesh of the tooth, and the solved frames.
+        Mesh of the tooth, with displacement and stress at all solved times.
     compliance
         Compliance of the tooth in its ligament.
     records
-        Duration and outcome of every solve.
+        Duration and outcome of every call of `solve`.
     root_guessed
-        True if the data hold neither ligament nor bone. The lower third of the tooth is then
-        treated as the root, which springs hold.
+        True if the voxels contain neither ligament nor bone. Springs then hold the lower third of
+        the tooth, which is taken as the root.
     """
 
     def __init__(
@@ -174,7 +174,7 @@ class StressField:
     def remove(
         self, voxels: Integers, steps: Integers, *, origin_m: Array, spacing_m: float
     ) -> None:
-        """Subtract from the particles the volume that the finer, drilled voxels have lost.
+        """Reduce the particles by the volume that the finer voxels lost by drilling.
 
         Parameters
         ----------
@@ -182,8 +182,8 @@ class StressField:
             Indices of finer voxels, shape (n, 3), and the fraction that each voxel lost since the
             last call, in steps of 1/65535, shape (n,).
         origin_m, spacing_m
-            Corner of the finer voxel (0, 0, 0), and edge of the finer voxels [m]. In both voxel
-            grids, the faces of the voxels lie at multiples of this edge.
+            Lowest corner of the finer voxel (0, 0, 0) [m], and edge of the finer voxels [m]. The
+            faces of coarse and fine voxels lie at multiples of the finer edge.
         """
         ratio = round(self._volume.spacing_m / spacing_m)
         first = np.rint(origin_m / spacing_m).astype(int)
@@ -202,8 +202,8 @@ class StressField:
     def solve(self, time_s: float, force_N: Array, point_m: Array) -> Frame:
         """Solve for displacement and stress under a force on the tooth at a point.
 
-        The first guess is computed from earlier solutions. The frame is added to `series` and
-        returned.
+        The iterations start from a guess that is computed from earlier solutions. The result is
+        also added to `series`.
         """
         begun = perf_counter()
         change = self.body.update()
@@ -239,7 +239,7 @@ class StressField:
         return self.body.spread_over(point_m, force_N, radius_m=self._contact_m)
 
     def recover(self, displacement_m: Array) -> tuple[Array, Array]:
-        """Return the recovered von Mises and principal stresses at the cell centres [Pa].
+        """Return the averaged von Mises stress and principal stresses at the cell centres [Pa].
 
         The shapes are (c,) for the von Mises stress and (c, 3) for the principal stresses, with c
         cells.
@@ -252,7 +252,7 @@ class StressField:
 def _particles(tooth: VoxelVolume, places: Ints, constants: Materials) -> ParticleSet:
     """Return one particle for each voxel, with the elastic constants of its layer.
 
-    The Young's modulus of a particle of caries depends on the softness at its voxel.
+    In the layer of caries, Young's modulus depends on the softness of the voxel.
     """
     at = tuple(places.T)
     layer = tooth.layer[at]
@@ -277,14 +277,14 @@ def _particles(tooth: VoxelVolume, places: Ints, constants: Materials) -> Partic
 
 
 def _bed_layers(tooth: VoxelVolume) -> list[int]:
-    """Return the indices of the layers that support the tooth."""
+    """Return the indices of the layers that support the tooth: ligament or bone."""
     return [i for i, name in enumerate(tooth.layer_names) if name in ("ligament", "bone")]
 
 
 def _ligament_springs(
     tooth: VoxelVolume, solid: Flags, thickness_m: float, constants: Materials = Materials.cited
 ) -> PointSprings:
-    """Return springs where the tooth borders on ligament or bone.
+    """Return springs at the faces between tooth and ligament or bone.
 
     If the voxels contain neither ligament nor bone, the springs act on the tooth's lower third.
     """

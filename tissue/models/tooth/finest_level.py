@@ -23,15 +23,15 @@ from tissue.models.tooth.strips import LaneVector, StripProduct
 
 
 class NodeBlocks:
-    """Assembled stiffness K of a grid whose nodes are not held, in rows of 3 x 3 blocks.
+    """Assembled stiffness K of a grid without supports, in rows of 3 x 3 blocks.
 
     Parameters
     ----------
     grid
         The grid.
     cell_nodes, live, stiffness
-        Warp arrays of the cells, as in :class:`tissue.models.tooth.stiffness.CellStiffness`. Every
-        `update` reads these arrays.
+        Warp arrays of the cells, see :class:`tissue.models.tooth.stiffness.CellStiffness`. Every
+        call of `update` reads these arrays.
     device
         Warp device.
 
@@ -39,11 +39,13 @@ class NodeBlocks:
     ----------
     row_start, column, block
         Matrix in block compressed row format: int32, shape (n + 1,); int32, shape (b,); 3 x 3
-        float64 [N/m], shape (b,). In a row, blocks of nodes with lower colours come first.
+        float64 [N/m], shape (b,). In a row, blocks of nodes with lower colours come first, see
+        `HexGrid.node_colour`.
     diagonal_block
         Index of each node's diagonal block, int32 (n,).
     single, inverse
-        Blocks in single precision, and inverses of the nodes' diagonal blocks; both for smoothing.
+        Blocks in single precision, and inverses of the diagonal blocks. Both are used for
+        smoothing.
     """
 
     def __init__(
@@ -81,7 +83,7 @@ class NodeBlocks:
         ]
 
     def update(self, nodes: Int32s) -> None:
-        """Compute the rows of some nodes again from the cells around these nodes."""
+        """Compute the matrix rows of some nodes again after a change of the cells around them."""
         if len(nodes) == 0:
             return
         outputs = [self.block, self.single, self.inverse]
@@ -98,43 +100,47 @@ class NodeBlocks:
 
 
 STEPS = ((0.0, 4.0 / 3.0), (1.0 / 5.0, 12.0 / 5.0))
-"""Coefficients of each smoothing step: factor of the last direction, factor of the residual.
+"""Factors of the last direction and of the residual in each smoothing step.
 
-The polynomial is Chebyshev's of the fourth kind, of degree 2. This polynomial needs only the
-largest eigenvalue (Lottes 2023, Numer. Linear Algebra Appl. 30:e2518). With degree 1 the solves
-take 1.3 times as many iterations. Degree 3 saves no iteration.
+The steps form a Chebyshev polynomial of the fourth kind with degree 2. This polynomial needs only
+the largest eigenvalue (Lottes 2023, Numer. Linear Algebra Appl. 30:e2518). With degree 1, 1.3 times
+as many iterations are needed. Degree 3 saves no iteration.
 """
 POWER_STEPS = 30
-"""Number of steps of the power method; for the molar, the result is 3 % below that of 100 steps."""
+"""Number of steps of the power method.
+
+For the molar, the computed eigenvalue is 3 % below the eigenvalue after 100 steps.
+"""
 MARGIN = 1.15
 """Factor by which the computed largest eigenvalue is multiplied.
 
-The factor allows for the error of the power method, and for the increase of the eigenvalue by cuts
-until the eigenvalue is computed anew. The smoother diverges if the true eigenvalue is 1.25 times
-the assumed value.
+The computed eigenvalue is too small because of the error of the power method. In addition, cuts
+increase the true eigenvalue until it is computed again. The smoother diverges if the true
+eigenvalue is 1.25 times the assumed value.
 """
 
 
 class FinestLevel:
-    """Smoothing on the finest grid, in single precision and with SIMD lanes.
+    """Multigrid smoothing on the finest grid, in single precision and with SIMD instructions.
 
-    The product with the stiffness leaves out springs on cells of the strips. The stiffness of these
-    springs is below a hundredth of the stiffness of their cells, and the coarser grids include the
-    springs. In the molar and in caries, springs in the product would save no iteration. With a
-    ligament 100 times as stiff, they would save one of ten iterations. All other terms of the
-    product are exact: particles that do not lie at the points of the strips are not moved to these
-    points. If such particles were moved, the solves of the molar on a rotated grid would take 31 to
-    44 iterations instead of 14 to 15.
+    On cells in strips (groups of eight cells), the smoother ignores the springs of the ligament.
+    The stiffness of these springs is below a hundredth of the stiffness of their cells, and the
+    coarser grids include the springs. With the springs, the smoother would save no iteration in the
+    scenes with a molar and with caries. With a ligament 100 times as stiff, it would save one of
+    ten iterations. The position of every particle is used without approximation. If particles were
+    moved to the regular points of the strips, a molar on a rotated grid would need 31 to 44
+    iterations instead of 14 to 15.
 
     Parameters
     ----------
     cells, supports
-        The body's stiffness, and its supports.
+        Stiffness of the cells of a body, and supports of the nodes.
 
     Attributes
     ----------
     diagonal
-        Diagonal of the stiffness [N/m], 1 at held components, Warp array of vec3d, shape (n,).
+        Diagonal of the stiffness [N/m], Warp array of vec3d, shape (n,). It is 1 at held
+        components.
     vector, residual
         Correction by the coarser grids [m], and residual load after smoothing [N], Warp arrays of
         vec3f, shape (n,).
@@ -230,9 +236,10 @@ class FinestLevel:
             each.single.zero_()
 
     def solve(self, load_N: Array, correct: Callable[[], None]) -> Array:
-        """Return the displacement [m] for a load [N], smoothed, corrected and smoothed again.
+        """Run one multigrid cycle for a load [N], and return the displacement [m].
 
-        Load and displacement have shape (n, 3).
+        Load and displacement have shape (n, 3). The cycle smooths, calls ``correct`` and smooths
+        again.
 
         ``correct`` is a function that reads ``residual`` and adds the correction by the coarser
         grids to ``vector``.
@@ -261,9 +268,10 @@ class FinestLevel:
         self._steps[1]()
 
     def _multiply(self) -> None:
-        """Add the product of the stiffness and the present direction to the force.
+        """Add the product of the stiffness and the present search direction to the force.
 
-        If some cells are not in strips, the force must be zero before the call.
+        If some cells are not in strips (groups of eight cells), the force must be zero before the
+        call.
         """
         if self._cells.others is not None:
             self._give_direction()

@@ -1,4 +1,4 @@
-"""Cells, particles and supports of a tooth: a Cartesian grid of trilinear hexahedra.
+"""Grid of trilinear hexahedra, particles and supports of a tooth.
 
 Only the cells that hold material particles exist. The ligament is modelled as springs to the
 ground.
@@ -18,14 +18,16 @@ from tissue.fem.solvers.held_body import rigid_modes
 CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
 """Corners of a cell, in units of its edge, shape (8, 3)."""
 CORNER_PAIRS = list(combinations_with_replacement(range(8), 2))
-"""Pairs (a, b) of corners, a <= b, in the order of the blocks of a cell's packed stiffness."""
+"""Pairs (a, b) of cell corners, a <= b, in the order of the blocks in a packed stiffness."""
 NEIGHBOURS = np.array([[i, j, k] for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
 """Offsets from a node to the 27 nodes around it, shape (27, 3); row 13 is the node itself."""
 
 
 @dataclass(frozen=True, eq=False)
 class HexGrid:
-    """Cells that exist in a Cartesian grid, and their nodes, in lexicographic order of (x, y, z).
+    """Existing cells of a Cartesian grid, and the nodes of these cells.
+
+    Cells and nodes are in lexicographic order of (x, y, z).
 
     Attributes
     ----------
@@ -38,8 +40,8 @@ class HexGrid:
     node_place
         Integer position of each node in the grid, int32, shape (n, 3).
     cell_nodes
-        Nodes of each cell, int32, shape (c, 8). Corner a = 4 i + 2 j + k lies at (i, j, k), in cell
-        edges from the cell's lowest corner.
+        Nodes of each cell, int32, shape (c, 8). Corner a = 4 i + 2 j + k lies at (i, j, k) times
+        the edge from the lowest corner of the cell.
     """
 
     origin_m: Array
@@ -52,7 +54,7 @@ class HexGrid:
     def of_cells(cls, cell_place: Integers, *, origin_m: Array, edge_m: float) -> "HexGrid":
         """Return the grid of the cells at the integer positions ``cell_place``, shape (c, 3).
 
-        A position may occur more than once in ``cell_place``.
+        Positions may be repeated.
         """
         low = cell_place.min(axis=0)
         origin = np.asarray(origin_m, np.float64) + edge_m * low
@@ -69,8 +71,8 @@ class HexGrid:
     ) -> "HexGrid":
         """Return the grid of the cells that hold the points ``position_m`` [m], shape (n, 3).
 
-        The cells' corners lie at ``origin_m`` plus multiples of ``edge_m``. By default ``origin_m``
-        is half an edge below the lowest point.
+        The corners of the cells lie at ``origin_m`` plus multiples of ``edge_m``. The default of
+        ``origin_m`` is half an edge below the lowest coordinates of the points.
         """
         origin = (
             position_m.min(axis=0) - 0.5 * edge_m
@@ -127,9 +129,9 @@ class HexGrid:
 
     @property
     def node_colour(self) -> Ints:
-        """Colour of each node, 0 to 7, shape (n,).
+        """Number (colour) of each node, 0 to 7, shape (n,); nodes of one colour share no cell.
 
-        The nodes of a cell have eight different colours.
+        The eight nodes of a cell have eight different colours.
         """
         # The colour depends on whether the position is even or odd along each axis.
         return (self.node_place & 1) @ (4, 2, 1)
@@ -169,7 +171,7 @@ class HexGrid:
         return self.find_cells(place.astype(np.int64)), scaled - place
 
     def coarse(self) -> tuple["HexGrid", Int32s]:
-        """Return a grid with twice the edge, and the cell of that grid that holds each cell.
+        """Return a grid with twice the edge, and the coarse cell that holds each cell of this grid.
 
         The indices of the coarse cells are int32, shape (c,).
         """
@@ -216,7 +218,7 @@ def _find_keys(keys: Ints, place: Integers, shape: Integers) -> Int32s:
 
 
 FULL_STEPS = 65535
-"""Remaining fraction of a whole particle, in steps of 1/65535, as for a whole voxel."""
+"""Remaining fraction of an uncut particle, in steps of 1/65535."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +230,7 @@ class ParticleSet:
     position_m
         Positions [m], shape (n, 3).
     volume_m3
-        Volume of each whole particle [m3], shape (n,).
+        Volume of each particle before any cut [m3], shape (n,).
     modulus_Pa
         Young's modulus [Pa], shape (n,).
     poisson_ratio
@@ -250,7 +252,7 @@ class ParticleSet:
     def uniform(
         cls, position_m: Array, *, volume_m3: float, modulus_Pa: float, poisson_ratio: float = 0.3
     ) -> "ParticleSet":
-        """Return whole particles of one size and one material.
+        """Return uncut particles of one size and one material.
 
         The default Poisson's ratio, 0.3, is close to the values of bone and dentin (0.30 to 0.32).
         """
@@ -274,7 +276,7 @@ class ParticleSet:
 
 @dataclass(frozen=True, eq=False)
 class NodeSupports:
-    """Supports of a grid: displacement components of the nodes that are held at given values.
+    """Supports of a grid: displacement components of nodes, held at given values.
 
     Attributes
     ----------
@@ -304,7 +306,7 @@ class NodeSupports:
 
 @dataclass(frozen=True, eq=False)
 class PointSprings:
-    """Springs from points of a body to the ground, with a stiffness matrix each.
+    """Springs that connect points of a body to the ground, each with a stiffness matrix.
 
     If a point moves by u, the restoring force is S u.
 
@@ -320,14 +322,14 @@ class PointSprings:
     stiffness_N_m: Array
 
     def chosen(self, these: Flags) -> "PointSprings":
-        """Return the springs for which ``these``, shape (k,), is True."""
+        """Return the springs that are selected by the mask ``these``, shape (k,)."""
         return PointSprings(self.position_m[these], self.stiffness_N_m[these])
 
     def restraint(self, centre_m: Array, length_m: float) -> Array:
         """Return the stiffness of the springs against rigid motion about a point, shape (6, 6).
 
         Rotations are multiplied by ``length_m``, so that all entries have the unit N/m. The order
-        is three translations, three rotations.
+        of rows and columns is: three translations, three rotations.
         """
         motion = rigid_modes((self.position_m - centre_m) / length_m, np.zeros(3))
         return np.einsum("kia,kib->ab", motion, self.stiffness_N_m @ motion)
@@ -361,9 +363,9 @@ def bed_stiffness(
     """Return the stiffness of a thin bonded layer, across and along the layer [N/m3].
 
     The layer is bonded on both sides. If the layer is much thinner than wide, it cannot bulge at
-    its edges. The stiffness per area is then a modulus divided by the thickness. This modulus is
-    the confined modulus E (1 - v) / ((1 + v) (1 - 2 v)) across the layer, and the shear modulus
-    along the layer. Such a layer is a Winkler foundation. The relative error is of the order of
+    its edges. The stiffness per area is then a modulus divided by the thickness. Across the layer,
+    the modulus is the confined modulus E (1 - v) / ((1 + v) (1 - 2 v)). Along the layer, it is the
+    shear modulus. Such a layer is a Winkler foundation. The relative error is of the order of
     thickness divided by width.
     """
     confined = (
@@ -388,8 +390,8 @@ def bed_springs(
     across the face, k_t the stiffness along the face.
 
     The voxel faces form a staircase. The area of each face is therefore multiplied by a weight: the
-    component of the smoothed surface normal along the normal of the face. The weighted areas sum to
-    the area of the smooth surface, and not to the area of the staircase.
+    component of the smoothed surface normal along the normal of the face. The sum of the weighted
+    areas is therefore the area of the smooth surface.
 
     Parameters
     ----------

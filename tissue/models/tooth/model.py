@@ -1,4 +1,4 @@
-"""Tooth under a bur: removal as in bone, distance to the pulp, and optionally stress and heat."""
+"""Tooth that a bur drills: removal, forces, distance to the pulp, optional stress and heat."""
 
 import numpy as np
 import warp as wp
@@ -19,46 +19,46 @@ from tissue.models.tooth.stress_process import Drilled, StressSolver
 from tissue.system.child import HelperLostError
 
 CENTROID_COLUMNS = ("tooth_centroid_x_um", "tooth_centroid_y_um", "tooth_centroid_z_um")
-"""Trace columns of the tooth's rigid translation, at the centroid of the tooth's material."""
+"""Names of the trace columns with the rigid displacement of the tooth at its centroid."""
 BUR_COLUMNS = ("tooth_at_bur_x_um", "tooth_at_bur_y_um", "tooth_at_bur_z_um")
-"""Trace columns of the rigid tooth's displacement at the bur.
+"""Names of the trace columns with the rigid displacement of the tooth at the bur.
 
-The columns hold the displacement of the point that the bur touches. This displacement includes the
-translation and the rotation of the tooth.
+The displacement is measured at the point that the bur touches. It includes the translation and the
+rotation of the tooth.
 """
 PULP_LIMIT_K = 5.5
 """Temperature rise above which the pulp may not survive [K] (Zach and Cohen 1965)."""
 WARN_M = (1.0e-3, 0.5e-3)
 """Thicknesses of the dentin over the pulp below which an event is reported [m].
 
-Below 0.5 mm the pulp is at risk (from the literature, quoted from memory).
+Below 0.5 mm the pulp is at risk. This limit is quoted from the literature from memory.
 """
 
 
 class ToothModel(MilledTissue):
     """Tooth that a bur drills.
 
-    The bone model computes removal and forces. The distance of the bur from the pulp is measured to
-    the voxels that the pulp filled at the start. Once the bur is in dentin, the smallest distance
-    so far is the thickness of the remaining dentin at its thinnest point. Before, it also includes
+    The bone model computes removal and forces. The distance between bur and pulp is measured to the
+    voxels that the pulp filled at the start. Once the bur is in dentin, the smallest distance so
+    far is the smallest thickness of the remaining dentin. Before that, the distance also includes
     enamel and air. The error of the distance is half a voxel. If the voxels contain no pulp, the
-    distance is not measured. The pulp is then farther away than the margin of the voxels around
-    the bur's reach.
+    distance is not measured. The pulp is then farther away than the margin of the voxels around the
+    bur's reach.
 
     If stress is computed, the tooth moves in every tick as a rigid body under the force, with the
     compliance of its ligament. The motion is reported at the centroid of the tooth's material, and
-    at the point that the bur touches. Stress is solved in the background, from a copy of voxels and
-    force that is made every ``interval_s``. The result is recorded one interval later, so the
-    record does not depend on the duration of the solve.
+    at the point that the bur touches. Stress is computed in the background, from a copy of voxels
+    and force that is made every ``interval_s``. The result is recorded one interval later, so the
+    record does not depend on the computing time.
 
     Parameters
     ----------
     milling
         Model with the tooth's voxels and the bur. One layer is named ``pulp``.
     stress
-        Finite elements of the whole tooth; None if the scene needs only the force.
+        Stress solver of the whole tooth; None if the scene does not include stress.
     interval_s
-        Time between two solves of the stress [s].
+        Time between two computations of the stress [s].
     heat
         Temperature of the whole tooth; None if the scene does not include heat.
     device
@@ -134,7 +134,7 @@ class ToothModel(MilledTissue):
         self._measure_pulp(motion)
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Return force and torque on the bur, and the tooth's own measures."""
+        """Return force and torque on the bur, and the values of the tooth's own trace columns."""
         response = self.milling.respond(motion)
         if response is not self._response:
             self._response = response
@@ -155,7 +155,7 @@ class ToothModel(MilledTissue):
         return response
 
     def state(self) -> State:
-        """Copy the state that later ticks depend on.
+        """Return a copy of the state on which later ticks depend.
 
         Raises
         ------
@@ -173,18 +173,18 @@ class ToothModel(MilledTissue):
         return {"milling": self.milling.state(), "pulp": copied(self, ("_least_m",))}
 
     def restore(self, state: State) -> None:
-        """Return to a copied state."""
+        """Restore a state that `state` has returned."""
         self.milling.restore(state["milling"])
         put_back(self, state["pulp"])
 
     @property
     def scheduling(self) -> str:
-        """Description of the background solve: method, priority and cores; empty without stress."""
+        """Method, priority and cores of the stress computation; an empty text without stress."""
         return f"stress: {self.stress.scheduling}" if self.stress is not None else ""
 
     @property
     def heat_balance_J(self) -> dict[str, float] | None:
-        """Energy of cutting [J], and the parts into which it is divided.
+        """Energy of cutting, and energies in chips, removed material and remaining tissue [J].
 
         None if the scene does not compute heat.
         """
@@ -192,11 +192,11 @@ class ToothModel(MilledTissue):
 
     @property
     def fields(self) -> FieldSeries | None:
-        """Displacement and stress of the frames so far."""
+        """Displacement and stress computed so far."""
         return self.stress.series if self.stress is not None else None
 
     def wait_for_background(self, time_s: float) -> None:
-        """Wait for the solve whose result is due at the end of an interval.
+        """Wait for the stress that is due at the end of an interval.
 
         A run that is faster than real time waits here.
         """
@@ -205,7 +205,11 @@ class ToothModel(MilledTissue):
             self._await()
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Begin the next solve at the end of an interval, with a copy of the changes."""
+        """Add the tick to the heat computation.
+
+        At the end of an interval, begin the next stress computation from a copy of the changed
+        voxels.
+        """
         if self.heat is not None:
             assert self._response is not None
             if self.heat.add_tick(self._response.wrench, motion, self._take_touched):
@@ -222,7 +226,7 @@ class ToothModel(MilledTissue):
     def _take_touched(self) -> tuple[Ints, NDArray[np.uint16]]:
         """Return the bricks that lost material since the last call.
 
-        The bricks (blocks of voxels) are marked for the next solve.
+        The bricks (blocks of voxels) are marked for the next stress computation.
         """
         rows, left = self.milling.store.take_touched()
         self._touched[rows] = True
@@ -240,7 +244,7 @@ class ToothModel(MilledTissue):
         return motion.tip_m + radius * (motion.rotation[:, 2] - toward)
 
     def _see_pulp(self, heat: CuttingHeat) -> None:
-        """Read the pulp's temperature after an interval of the heat; report an exceeded limit."""
+        """Read the temperature of the pulp after an interval, and report an exceeded limit."""
         before = self._pulp_rise_K
         self._pulp_rise_K = heat.pulp_rise_K
         if before < PULP_LIMIT_K <= self._pulp_rise_K:
@@ -273,7 +277,7 @@ class ToothModel(MilledTissue):
             )
 
     def finish(self) -> None:
-        """Complete the carving that was spread over ticks, and the last solve."""
+        """Complete the carving that was postponed to later ticks, and the last stress solution."""
         self._await()
         if self.stress is not None and not self._stress_lost:
             try:
@@ -307,7 +311,7 @@ class ToothModel(MilledTissue):
     def _measure_pulp(self, motion: ToolMotion) -> None:
         """Measure the distance from the bur to the pulp at a pose where the bur cuts.
 
-        Trial poses of a force balance are not measured.
+        At trial poses of a force balance, the distance is not measured.
         """
         if not (self._pulp_near and self._reports_pulp):
             return
@@ -319,7 +323,7 @@ class ToothModel(MilledTissue):
             self._response.measures[0] = 1e3 * min(self._least_m, self._reach_m)
 
     def stop_reporting(self) -> None:
-        """Keep the smallest distance to the pulp, and report no exposure."""
+        """Stop updating the smallest distance to the pulp, and stop reporting exposures."""
         self._reports_pulp = False
 
     def _report_pulp(self, near_m: float) -> None:
@@ -334,7 +338,7 @@ class ToothModel(MilledTissue):
 
 
 def _cross(a: Array, b: Array) -> tuple[float, float, float]:
-    """Return the cross product of the first three entries of two vectors; faster than np.cross."""
+    """Return the cross product of the first three entries of two arrays; faster than np.cross."""
     (ax, ay, az) = a.tolist()[:3]
     (bx, by, bz) = b.tolist()[:3]
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx

@@ -1,11 +1,11 @@
-"""Multigrid preconditioner: each coarser grid has twice the edge (exact Galerkin projection).
+"""Multigrid preconditioner whose grids double the cell edge, with exact Galerkin projection.
 
 After a change of a few cells, only the few coarse cells that contain these cells are computed
-again. The hierarchy of grids therefore always matches the present body. One symmetric V-cycle in
-single precision is the preconditioner of conjugate gradients. On the finest grid, which has no
-assembled rows, the smoother is Chebyshev's polynomial. On the coarser grids the smoother is
-Gauss-Seidel over eight colours of nodes. After the correction from the next coarser grid, the
-colours are processed in reverse order. (Trottenberg, Oosterlee, Schueller 2001, Multigrid, ch. 2.)
+again. All grids therefore always represent the present body. One symmetric V-cycle in single
+precision is the preconditioner of conjugate gradients. On the finest grid, which has no assembled
+rows, the smoother is Chebyshev's polynomial. On the coarser grids the smoother is Gauss-Seidel over
+eight colours of nodes. After the correction by the next coarser grid, the colours are visited in
+reverse order. (Trottenberg, Oosterlee, Schueller 2001, Multigrid, ch. 2.)
 """
 
 from collections.abc import Callable
@@ -31,12 +31,12 @@ from tissue.models.tooth.stiffness import CellStiffness
 
 
 class GridTransfer:
-    """Recorded kernel launches for the transfer between a fine and a coarse level.
+    """Recorded kernel launches for the transfer between a fine and a coarse grid.
 
     Parameters
     ----------
     fine, coarse
-        The levels.
+        Fine and coarse grid level.
     parent
         Coarse cell of each fine cell, int32, shape (c,).
 
@@ -109,19 +109,18 @@ number of iterations to a tolerance of 1e-6 would double.
 SPLIT_NODES = 4000
 """Largest number of nodes of a grid whose kernel launches run on one core.
 
-Passing work to another thread takes about 50 us, so splitting saves time only for more than 0.2 ms
-of work.
+Passing work to another thread takes about 50 us. Several cores therefore save time only for
+launches of more than 0.2 ms.
 """
 NULL_CUT = 1e-13
-"""Relative threshold for the eigenvalues of the coarsest grid's scaled stiffness.
+"""Threshold for eigenvalues of the coarsest grid's scaled stiffness, relative to the largest.
 
-Eigenvalues below this fraction of the largest eigenvalue belong to motions that move no node of the
-finer grids.
+Eigenvalues below the threshold belong to motions that move no node of the finer grids.
 """
 
 
 class GridLevel:
-    """One coarser grid: rows of the stiffness, vectors, and Gauss-Seidel over eight colours.
+    """One coarser grid, with its stiffness, vectors and Gauss-Seidel smoother.
 
     Attributes
     ----------
@@ -188,13 +187,13 @@ class GridHierarchy:
     Parameters
     ----------
     cells, supports
-        The body's stiffness on its grid, and its supports.
+        Stiffness of the cells of the body, and supports of the nodes.
 
     Attributes
     ----------
     finest, coarser
-        The body's grid, and the coarser grids, each with twice the edge of the grid before. The
-        last grid is solved directly.
+        Grid of the body, and coarser grids. The cell edge doubles from grid to grid. The last grid
+        is solved directly.
     """
 
     def __init__(self, cells: CellStiffness, supports: NodeSupports) -> None:
@@ -214,7 +213,7 @@ class GridHierarchy:
     def update(self, changed: Int32s) -> None:
         """Update all grids after a change of some cells of the finest grid.
 
-        The direct solve of the coarsest grid is updated by `refresh`.
+        Call `refresh` to update the factorisation of the coarsest grid.
         """
         self.finest.update(np.unique(self.finest.grid.cell_nodes[changed]))
         for level, transfer in zip(self.coarser, self._transfers, strict=True):
@@ -223,9 +222,9 @@ class GridHierarchy:
         self._stale = True
 
     def refresh(self) -> None:
-        """Factorise the stiffness of the coarsest grid, and estimate the largest eigenvalue, anew.
+        """Update the factorisation of the coarsest grid and the estimate of the largest eigenvalue.
 
-        Without a change since the last call, do nothing.
+        If nothing has changed since the last call, do nothing.
         """
         if not self._stale:
             return

@@ -1,7 +1,7 @@
-"""Recovered stress, compliance of the supports, and first guesses for solves.
+"""Averaged stress, compliance of the supports, and first guesses for the solver.
 
 Stress is averaged over particles within a fixed distance. When cells are refined, this mean
-converges also where the stress at a point does not converge.
+converges even where the stress at a point does not converge.
 """
 
 from dataclasses import dataclass
@@ -32,8 +32,8 @@ class StressPoints:
     row
         Row of each point in the arrays `cell`, `place` and `lame_Pa`, shape (n,).
     cell, place, lame_Pa
-        NumPy or Warp arrays with the cell of each row, the position in this cell (0 to 1 along each
-        edge), and the Lame constants [Pa], shape (rows, 2).
+        NumPy or Warp arrays with one row per material sample: index of its cell, position in this
+        cell (0 to 1 along each edge), and Lame constants [Pa], shape (rows, 2).
     """
 
     def __init__(
@@ -76,19 +76,20 @@ def stress_invariants(stress_Pa: Array, *, device: str = "cpu") -> tuple[Array, 
 REACH_M = 0.6e-3
 """Radius of the ball over which stress is averaged [m].
 
-This is about the radius of a bur; the bur's force is spread over a similar radius. Next to a cut,
-the error of the recovered stress is 6 % with cells of 0.3 mm, and decreases with smaller cells.
+The value is about the radius of a bur. The force of the bur is spread over a similar radius. Next
+to a cut, the error of the averaged stress is 6 % with cells of 0.3 mm, and decreases with smaller
+cells.
 """
 CELLS_A_REACH = 2.0
-"""Smallest ratio of reach to cell edge at which stress is first averaged within each cell.
+"""Smallest ratio of averaging radius to cell edge at which a cell needs only one stress point.
 
-The mean stress of a cell's particles differs from the stress at their centre of mass by an error of
-second order in the cell's edge. The whole recovery has an error of this order.
+The mean stress of the particles of a cell is then replaced by the stress at their centre of mass.
+The error is of second order in the cell edge, like the error of the whole method.
 """
 
 
 class StressRecovery:
-    """Mean stress around points, averaged over particles of the point's layer within a reach.
+    """Mean stress around points, averaged over near particles of the layer of the point.
 
     The weight of a particle is its remaining volume times the `ball_weight` of its distance from
     the point. The weight is zero if the particle's cell carries no load. Particles of different
@@ -188,18 +189,18 @@ class SupportCompliance:
     Attributes
     ----------
     matrix
-        Matrix from force [N] and torque [N m] to translation [m] and rotation [rad], symmetric
-        positive definite, shape (6, 6).
+        Matrix, shape (6, 6), that converts force [N] and torque [N m] to translation [m] and
+        rotation [rad]. It is symmetric and positive definite.
     reference_m
         Reference point of translation and torque [m], shape (3,).
     solutions
-        Results of the six solves, one for each component of the wrench. If a solve has not
-        converged, the matrix must not be used.
+        Six solutions, one for each component of the wrench. If one of them has not converged, the
+        matrix must not be used.
     loads_N
-        Nodal forces of each solve [N], shape (n, 3).
+        Nodal forces of each solution [N], shape (n, 3).
     asymmetry
-        Largest asymmetry of the computed matrix, before it was made symmetric. The difference of
-        two mirrored entries is divided by the geometric mean of their diagonal entries.
+        Largest asymmetry of the computed matrix, before it was made symmetric. Asymmetry is the
+        difference of two mirrored entries divided by the geometric mean of their diagonal entries.
     """
 
     matrix: Array
@@ -210,7 +211,7 @@ class SupportCompliance:
 
     @property
     def converged(self) -> bool:
-        """True if all solves converged, so that the matrix may be used."""
+        """True if all six solutions have converged, so that the matrix may be used."""
         return all(solution.converged for solution in self.solutions)
 
 
@@ -221,7 +222,7 @@ def support_compliance(
     reference_m: Array,
     tolerance: float = 1e-4,
 ) -> SupportCompliance:
-    """Return the compliance of the part of a body with nonzero ``weights``, shape (n,).
+    """Return the compliance of a part of a body: the nodes with nonzero ``weights``, shape (n,).
 
     The wrench q is distributed to the nodes as the forces ``f = w R G^-1 q``. Here w is the weight
     of a node, R has the unit rigid motions at this node as columns, and ``G = sum w R^T R``. The
@@ -237,7 +238,7 @@ def support_compliance(
     reference_m
         Reference point of torque and rotation [m], shape (3,).
     tolerance
-        Allowed relative error of each solve in the energy norm.
+        Allowed relative error of each of the six solutions in the energy norm.
     """
     used = np.where(body.carrying, weights, 0.0)
     motions = rigid_modes(body.grid.node_position_m, reference_m)
@@ -262,29 +263,30 @@ def support_compliance(
 
 
 NULL_CUT = 1e-6
-"""Relative threshold for the eigenvalues of the scaled energy matrix of earlier solutions.
+"""Threshold for eigenvalues of the scaled energy matrix, relative to the largest eigenvalue.
 
-An entry of this matrix is the work of one solution's load on another solution. Eigenvalues below
-this fraction of the largest eigenvalue are errors of the solves.
+An entry of the energy matrix is the work of the load of one earlier solution on another earlier
+solution. Eigenvalues below the threshold are numerical errors of these solutions.
 """
 
 
 class FirstGuess:
-    """First guess of a solve: the combination of earlier solutions with the smallest energy error.
+    """First guess for a solver: combination of earlier solutions with the smallest energy error.
 
     For solutions u_i of loads f_i, the coefficients c_j solve ``(u_i . f_j) c_j = u_i . f``, with
     the new load f. Iterations are then needed only for the part of the new solution that is no
-    combination of the earlier solutions. This part is small if the force has only grown, turned or
-    moved. If the body has changed since the earlier solutions, the guess is slightly worse.
+    combination of the earlier solutions. This part is small if only the size, direction or position
+    of the force has changed. If material was removed after the earlier solutions, the guess is
+    slightly worse.
 
     Parameters
     ----------
     kept
-        Solutions that are always kept, each of shape (n, 3), and their loads: the six solutions of
-        the support compliance.
+        Solutions [m] that are always kept, and their loads [N], each of shape (n, 3): the six
+        solutions of the support compliance.
     recent
-        Number of latest solutions that are kept in addition. While a body is cut, a solve takes 3
-        iterations with two solutions and 5 iterations with six solutions, because older solutions
+        Number of latest solutions that are kept in addition. While a body is cut, the solver needs
+        3 iterations with two recent solutions, and 5 iterations with six, because older solutions
         belong to a body with more material.
     """
 

@@ -1,4 +1,4 @@
-"""Stiffness of a grid's cells, summed over particles and updated when particles lose volume."""
+"""Stiffness of the cells of a grid, summed over particles that may lose volume."""
 
 from typing import Any
 
@@ -25,7 +25,7 @@ CENTRE = np.full(3, 0.5)
 
 
 class CellStiffness:
-    """Packed stiffness of every cell, summed over the particles of the cell.
+    """Stiffness of every cell in packed form, summed over the particles of the cell.
 
     The sum is computed by :mod:`kernels.particle_stiffness`.
 
@@ -34,8 +34,10 @@ class CellStiffness:
     particles, grid
         The body, and a grid whose cells hold all of its particles.
     inner_strength
-        Fraction of a full cell's inner stiffness that is added to a cell with a single particle in
-        its middle. Less is added to a cell whose particles give a part of this stiffness.
+        Strength of the stabilisation of cells with few particles. Inner stiffness is the stiffness
+        of a full cell minus the stiffness of its centre point. This fraction of the inner stiffness
+        is added to a cell with a single particle in its centre. Less is added to a cell with more
+        particles.
     springs
         Springs to the ground at points of the cells; default none.
     cores
@@ -51,12 +53,12 @@ class CellStiffness:
     particle_cell
         Cell of each particle in the sorted order, int32, shape (p,).
     strips
-        Cells whose product is computed in strips. Springs, and cells whose particles lie at other
-        positions, are added to this product.
+        Product of cells in strips (groups of eight cells), without springs. Cells with irregular
+        particles are not in strips.
     others
         Product of ``displacement`` with the stiffness of the cells that are not in strips,
-        including their springs. None if all cells are in strips. A call adds the product to
-        ``force``. ``displacement`` and ``force`` are Warp arrays of vec3d, shape (n,).
+        including the springs of these cells. None if all cells are in strips. A call adds the
+        product to ``force``. ``displacement`` and ``force`` are Warp arrays of vec3d, shape (n,).
     """
 
     def __init__(
@@ -143,7 +145,7 @@ class CellStiffness:
 
     @property
     def live(self) -> Bytes:
-        """1 for each cell that carries load, otherwise 0."""
+        """Array with 1 for each cell that carries load, and 0 for other cells."""
         return self.live_on.numpy()
 
     def set_remaining(self, rows: Integers, steps: NDArray[np.uint16]) -> None:
@@ -163,7 +165,7 @@ class CellStiffness:
         self._weigh(changed)
 
     def update(self, cells: Int32s) -> None:
-        """Sum the stiffness of some cells over their particles again."""
+        """Update the stiffness of some cells from the remaining volumes of their particles."""
         if len(cells) == 0:
             return
         size = [self.grid.edge_m, self._strength]

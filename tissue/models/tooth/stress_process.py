@@ -1,9 +1,9 @@
-"""Background solves of the stress in a tooth, in this process or in a separate process.
+"""Background computation of the stress in a tooth, in this process or in a separate process.
 
-In one Python process, ticks and solves would wait for each other, because both need the interpreter
-lock. The 99th percentile of this wait is almost a millisecond. A separate process avoids this wait.
-The separate process receives the removed material and the force of the bur, and sends its frames at
-the end of the run.
+In one Python process, ticks and stress computations wait for each other, because both need the
+interpreter lock. The 99th percentile of this wait is almost a millisecond. A separate process
+avoids the wait. The separate process receives the removed material and the force of the bur, and
+sends its frames at the end of the run.
 """
 
 import os
@@ -25,7 +25,7 @@ from tissue.system.child import Helper
 
 ASSEMBLY_S = 3600.0
 SOLVE_S = 600.0
-"""Longest wait for one solve of the other process [s].
+"""Longest wait for one stress computation in the other process [s].
 
 `ASSEMBLY_S` limits the wait for the first answer of the process. A limit is reached only if the
 process hangs.
@@ -34,15 +34,15 @@ process hangs.
 
 @dataclass(frozen=True, eq=False)
 class Drilled:
-    """Input of a solve: changes of the drilled voxels, and the load.
+    """Input of a stress computation: changes of the drilled voxels, and the load.
 
     Attributes
     ----------
     time_s
         Time of the state [s].
     rows, left
-        Rows of the bricks (blocks of voxels) that lost material since the last solve, shape (n,).
-        Remaining fraction of their voxels, 65535 = full, shape (n, 512).
+        Row numbers, shape (n,), of the bricks (blocks of voxels) that lost material since the last
+        input. Remaining fractions of the voxels in these bricks, 65535 = full, shape (n, 512).
     force_N, point_m
         Force on the tooth [N] and its point of action [m], shape (3,) each.
     """
@@ -56,7 +56,7 @@ class Drilled:
 
 @dataclass(frozen=True, eq=False)
 class Bricks:
-    """Copy of the bricks before the first cut.
+    """Copy of the bricks (blocks of voxels) before the first cut.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Bricks:
 
 
 class InlineStressSolver:
-    """Stress solver in this process; the solve runs in `wait`.
+    """Stress solver in this process; `wait` computes the stress.
 
     Parameters
     ----------
@@ -107,17 +107,17 @@ class InlineStressSolver:
 
     @property
     def scheduling(self) -> str:
-        """Description of where the solves run."""
+        """Text that says where the stress is computed."""
         return "between the ticks"
 
     def begin(self, state: Drilled) -> None:
-        """Store the input of the next solve."""
+        """Store the input of the next stress computation."""
         self._begun = state
 
     def wait(self) -> SolveRecord | None:
-        """Update the particles from the remaining voxels, and solve for the stress.
+        """Update the particles from the drilled voxels, and solve for the stress.
 
-        Return None if no solve was begun.
+        Return None if `begin` was not called.
         """
         state = self._begun
         self._begun = None
@@ -131,7 +131,7 @@ class InlineStressSolver:
         return self.records[-1]
 
     def finish(self) -> None:
-        """Run the solve that was begun."""
+        """Complete the stress computation that was begun."""
         self.wait()
 
 
@@ -143,10 +143,10 @@ class StressProcess:
     Raises
     ------
     InputError
-        If `StressField` raises it.
+        If `StressField` rejects the arguments.
     HelperLostError
         If the process ends, is stopped or hangs. `__init__` and every wait for the process may
-        raise it. The frames of the process are then lost.
+        raise this error. The computed stresses are then lost.
     """
 
     def __init__(self, whole: VoxelVolume, store: BrickStore, **options: Any) -> None:
@@ -160,19 +160,19 @@ class StressProcess:
 
     @property
     def scheduling(self) -> str:
-        """Description of the priority and the cores of the solves."""
+        """Description of the priority and the cores of the stress computation."""
         return self._helper.priority.described
 
     def begin(self, state: Drilled) -> None:
-        """Send the input of a solve to the other process."""
+        """Send the input of a stress computation to the other process."""
         self._helper.priority.step_back()
         self._helper.send(state)
         self._begun = True
 
     def wait(self) -> SolveRecord | None:
-        """Wait for the solve that was begun.
+        """Wait for the stress computation that was begun.
 
-        Return None if no solve was begun.
+        Return None if `begin` was not called.
         """
         if not self._begun:
             return None
@@ -182,7 +182,7 @@ class StressProcess:
         return self.records[-1]
 
     def finish(self) -> None:
-        """Wait for the solve that was begun, fetch the frames and end the process."""
+        """Wait for the stress computation that was begun, fetch all results and end the process."""
         if self._finished:
             return
         self.wait()
@@ -193,13 +193,13 @@ class StressProcess:
 
 
 StressSolver = InlineStressSolver | StressProcess
-"""Stress solver: a tick begins a solve, and the run waits for the result between ticks."""
+"""Stress solver: a tick begins a computation, and the run waits for its result between ticks."""
 
 
 def _serve() -> None:
-    """Run a solve for every input from the standard input, until the standard input ends.
+    """Compute the stress for every input from the standard input, until the standard input ends.
 
-    Results are written to the standard output, which is used for nothing else.
+    Results are written to the standard output. Nothing else may be written there.
     """
     limit_cores(1)  # the other cores are for the ticks
     answers = os.fdopen(os.dup(1), "wb")

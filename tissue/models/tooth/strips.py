@@ -1,6 +1,7 @@
 """Products of the stiffness of a grid's cells with a vector.
 
-The products run over strips of eight cells along z, or over single cells with packed stiffness.
+The products are computed for strips of eight cells along z, or for single cells with packed
+stiffness.
 """
 
 from typing import Any
@@ -18,14 +19,14 @@ from tissue.models.tooth.grid import HexGrid
 
 
 class PackedProduct:
-    """Recorded product of the stiffness of some cells with nodal displacements.
+    """Recorded kernel launch: product of the stiffness of some cells and the nodal displacements.
 
     Parameters
     ----------
     grid
         The grid.
     cells, rows
-        Cells of the product, shape (k,), and row of each cell in ``stiffness``.
+        Cells of the product and the row of each cell in ``stiffness``, each of shape (k,).
     stiffness
         Warp array of packed stiffness [N/m], as in :mod:`kernels.hexahedra`. Every call reads this
         array.
@@ -76,11 +77,11 @@ class PackedProduct:
 
 
 AT_CUBE = 1e-6
-"""Largest distance of a particle from a cube's centre that is treated as rounding [cell edges]."""
+"""Largest distance of a particle from its regular position that counts as rounding [cell edges]."""
 
 
 class StripLayout:
-    """Positions of nodes and cells in lane vectors, the memory layout of SIMD kernels.
+    """Memory layout of nodes and cells for SIMD kernels (lane vectors and strips).
 
     A pencil is the row of all nodes, or of all cells, with equal x and y. A strip is eight cells in
     a row along z. In memory the nodes of a pencil follow each other along z. After the last node of
@@ -129,9 +130,9 @@ class StripLayout:
 
 
 class LaneVector:
-    """Vector with three components for each node in lane order, and three views of its memory.
+    """Vector with three components for each node, in the memory layout of `StripLayout`.
 
-    The first view has single values, the two other views have groups of eight values.
+    The attributes are three views of one memory block.
 
     Attributes
     ----------
@@ -164,7 +165,7 @@ class LaneVector:
 
 
 class StripProduct:
-    """Recorded product of strips with a lane vector, which is added to a second lane vector.
+    """Recorded kernel launch: product of the stiffness of strips and a vector.
 
     Parameters
     ----------
@@ -174,8 +175,8 @@ class StripProduct:
         Weights of the strips, a Warp array of single or double precision, shape (strips, WEIGHTS,
         LANES).
     vector, force
-        Lane vector that is multiplied, and lane vector to which the product is added. Both have the
-        precision of the weights.
+        Vector that is multiplied, and vector to which the product is added. Both are lane vectors
+        with the precision of the weights.
     """
 
     def __init__(
@@ -216,7 +217,7 @@ class StripProduct:
 
 
 class CellStrips:
-    """Stiffness of a body's cells as weights in strips, and the exact product with these weights.
+    """Stiffness of the cells of a body as weights in strips of eight cells.
 
     The weights are stored in double precision, and again in single precision for smoothing. A cell
     is divided into eight cubes. Cells whose particles do not lie at the centres of these cubes have
@@ -278,7 +279,7 @@ class CellStrips:
     def update(
         self, particles: list[Any], live: Any, cells: Int32s, *, edge_m: float, strength: float
     ) -> None:
-        """Sum the weights of some cells over their particles again, see `kernels.lane_vectors`."""
+        """Update the weights of some cells from their particles, see `kernels.lane_vectors`."""
         inputs = [*particles, live, self.regular_on, self.strip_on, cells, edge_m, strength]
         run_once(cube_weights, len(cells), inputs, [self.weight, self.single])
 
@@ -295,9 +296,10 @@ def _pencil_keys(place: Int32s, width: int) -> Ints:
 
 
 def _pencils(place: Int32s, width: int) -> tuple[Ints, Ints, Ints]:
-    """Return the key of each pencil, and the lowest and highest position of the pencil along z.
+    """Return the key, and the lowest and highest position along z, of each pencil.
 
-    The given positions must be in lexicographic order.
+    A pencil is the row of all positions with equal x and y. The given positions must be in
+    lexicographic order.
     """
     keys, first = np.unique(_pencil_keys(place, width), return_index=True)
     last = np.append(first[1:], len(place)) - 1
