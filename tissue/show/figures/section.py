@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from meshes.base.arrays import Array, Bytes
+from meshes.base.arrays import Array, Bytes, Floats
 from meshes.voxels.volume import FULL
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.show.figures.figure import (
@@ -125,7 +125,7 @@ def closest(run: Run) -> Closest | None:
     turn = Rotation.from_quat(run.trace.quaternions()[row])
     body_mm = turn.apply(1e3 * clear.points_m) + run.trace.vectors("tool", "mm")[row]
 
-    def distance_mm(points_mm: Array) -> Array:
+    def distance_mm(points_mm: Array) -> Floats:
         return 1e3 * np.asarray(clear.distances[name](1e-3 * points_mm))
 
     apart_mm = distance_mm(body_mm)

@@ -69,8 +69,8 @@ def test_each_depth_is_drawn_once_and_up_to_the_deepest():
     assert (np.diff(path[rows]) < 0.0).all() and path[rows[-1]] == -5.0
     # neither the rows at rest nor those in which the tool returns to the bottom
     assert not ((rows > 300) & (path[rows] >= -2.0)).any()
-    beside = np.concatenate([[-4.0, -4.0, 1.0], down])
-    assert beside[deepening_rows(beside, np.arange(304) > 100)][-1] == -2.0
+    low_before = np.concatenate([[-4.0, -4.0, 1.0], down])
+    assert low_before[deepening_rows(low_before, np.arange(304) > 100)][-1] == -2.0
     assert len(deepening_rows(down, np.zeros(301, dtype=bool))) == 0
 
 
