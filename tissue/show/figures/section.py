@@ -226,10 +226,10 @@ def _axes_through(run: Run, row: int, point_mm: Array) -> Array:
     return np.stack([across, along, np.cross(across, along)])
 
 
-def loaded_frame(series: FieldSeries, near_s: float = np.inf) -> Frame | None:
-    """Return the frame nearest to a time [s] of those with a stress of a tenth of the run's peak.
+def loaded_frame(series: FieldSeries) -> Frame | None:
+    """Return the last frame whose largest stress is at least a tenth of the peak stress of the run.
 
-    The default time gives the last of these frames. The result is None if the run has no stress.
+    The result is None if the run has no stress.
     """
     peaks = [
         float(np.nanmax(frame.cells.get(STRESS, np.zeros(1)), initial=0.0))
@@ -237,10 +237,13 @@ def loaded_frame(series: FieldSeries, near_s: float = np.inf) -> Frame | None:
     ]
     # 1e-12 MPa: without any stress, no frame counts as loaded
     loaded = np.flatnonzero(np.array(peaks) >= max(0.1 * max(peaks, default=0.0), 1e-12))
-    if not len(loaded):
-        return None
-    times_s = np.array([series.frames[each].time_s for each in loaded])
-    return series.frames[loaded[np.abs(times_s - min(near_s, times_s[-1])).argmin()]]
+    return series.frames[loaded[-1]] if len(loaded) else None
+
+
+def nearest_frame(series: FieldSeries, time_s: float) -> Frame | None:
+    """Return the frame with stress that is nearest to a time; None without such a frame."""
+    stressed = [frame for frame in series.frames if STRESS in frame.cells]
+    return min(stressed, key=lambda frame: abs(frame.time_s - time_s), default=None)
 
 
 def moment_of(run: Run) -> tuple[int, Frame | None]:
@@ -270,7 +273,7 @@ def draw_section(run: Run, path: Path) -> None:
         section = section_of(run, row)
     else:
         row = near.row
-        frame = None if series is None else loaded_frame(series, run.trace["time_s"][row])
+        frame = None if series is None else nearest_frame(series, run.trace["time_s"][row])
         section = section_of(run, row, near.points_mm[1])
     window = shown_mm(run, section)
     u0, u1, v0, v1 = window
