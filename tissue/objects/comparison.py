@@ -157,9 +157,9 @@ class Comparison:
         Parameters
         ----------
         over
-            ``time``; or ``depth`` of the tool's tip below the point of first contact, until the tip
-            first rises by 0.2 mm. The default is depth if all tools mainly advance along their
-            axis.
+            ``time``; or ``depth`` of the tool's tip below the point of first contact, in the ticks
+            in which the tip is deeper than before. The default is depth if all tools mainly advance
+            along their axis.
 
         Returns
         -------
@@ -201,7 +201,7 @@ class Comparison:
         for at in range(len(self.runs)):
             stated = [_stated(key, keys[key][at], self.scene_differences) for key in keys]
             labels.append(", ".join(stated))
-        if self._legend == "both":
+        if self._legend == "both" and keys:
             labels = [f"{name}: {label}" for name, label in zip(self.runs, labels, strict=True)]
         are_usable = len(set(labels)) == len(labels) and max(map(len, labels)) <= LONGEST_LABEL
         return labels if are_usable else list(self.runs)

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Flags
+from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
 from tissue.objects.plots import COLOURS, new_panels
 from tissue.show.figures.figure import plain, styled, torque_unit
-from tissue.show.figures.force_depth import first_descent
+from tissue.show.figures.force_depth import deepening_rows
 from tissue.simulation.bone_surface import facing
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ LONG = 28
 SMALL = 0.05
 """Share of the largest force below which a component across the tool has no panel."""
 MAINLY = 0.5
-"""Share of the path in contact that the first descent must cover for a plot over depth."""
+"""Share of the path in contact that the depth must cover for a plot over depth."""
 WIDTHS = 2.2, 1.0
 """Widths of the first and the last curve [points]; a covered equal curve stays visible."""
 THRUST, ACROSS_X, ACROSS_Y, TORQUE = range(4)
@@ -95,10 +95,10 @@ def chosen_over(curves: Sequence[Curve]) -> Over:
 
 
 def _mainly_descends(trace: "Table") -> bool:
-    """Return whether the `first_descent` covers most of the tip's path in contact."""
+    """Return whether the depth covers most of the tip's path in contact."""
     contact, height = _heights(trace)
     steps = np.linalg.norm(np.diff(trace.vectors("tool", "mm"), axis=0), axis=1)
-    descent = height[first_descent(height, contact)]
+    descent = height[deepening_rows(height, contact)]
     return len(descent) > 1 and bool(np.ptp(descent) > MAINLY * steps[contact[1:]].sum())
 
 
@@ -123,8 +123,8 @@ def overlay(
     curves
         Runs in the order of the legend.
     over
-        ``time``; or ``depth`` below the point of first contact, until the tip first rises by 0.2
-        mm. See `chosen_over` for the default.
+        ``time``; or ``depth`` below the point of first contact, in the ticks in which the tip is
+        deeper than before. See `chosen_over` for the default.
     about_axis
         Whether to draw the torque about the tool's axis. Otherwise the magnitude of the torque
         vector is drawn.
@@ -225,7 +225,7 @@ def _loads(curve: Curve, over: Over, *, about_axis: bool) -> Loads:
 
 
 def _band_ends(
-    band: "Band | None", turns: Array, rows: slice, *, about_axis: bool
+    band: "Band | None", turns: Array, rows: Ints, *, about_axis: bool
 ) -> tuple[Array | None, Array | None]:
     """Return the ends of an uncertainty band in the tool's frame, each of shape (n, 4).
 
@@ -243,6 +243,8 @@ def _band_ends(
     # A band has force x, y, z and size, then torque x, y, z and size.
     places = [at[2], at[0], at[1], 4 + at[2] if about_axis else 7]
     signs = np.array([sign[2], sign[0], sign[1], sign[2] if about_axis else 1.0])
+    # a band may end before its run
+    rows = rows[rows < len(band.quantiles[LOW])]
     ends = [signs * band.quantiles[end][rows][:, places] for end in (LOW, HIGH)]
     return np.minimum(*ends), np.maximum(*ends)
 
@@ -255,16 +257,16 @@ def _difference(first: Loads, second: Loads) -> tuple[Array, Array]:
     return common, np.linalg.norm(apart, axis=1)
 
 
-def _place(trace: "Table", over: Over, name: str) -> tuple[slice, Array]:
+def _place(trace: "Table", over: Over, name: str) -> tuple[Ints, Array]:
     """Return the rows to draw, and their time [s] or depth [mm]."""
     if over == "time":
-        return slice(None), trace["time_s"]
+        return np.arange(len(trace["time_s"])), trace["time_s"]
     contact, height = _heights(trace)
     if not contact.any():
         raise InputError(
             "runs", "touch the tissue to be drawn over depth", f"{name} without contact", "use time"
         )
-    rows = first_descent(height, contact)
+    rows = deepening_rows(height, contact)
     return rows, np.maximum.accumulate(height[contact.argmax()] - height[rows])
 
 

@@ -114,13 +114,13 @@ def test_band_ends_are_quantiles_in_the_frame_of_the_tool():
     loads = np.concatenate([force, sizes[0], torque, sizes[1]], axis=2)
     band = SimpleNamespace(quantiles=np.quantile(loads, (0.05, 0.25, 0.5, 0.75, 0.95), axis=0))
     turn = Rotation.from_euler("xz", [90.0, 90.0], degrees=True)
-    low, high = _band_ends(band, turn.as_matrix()[None], slice(None), about_axis=True)
+    low, high = _band_ends(band, turn.as_matrix()[None], np.arange(400), about_axis=True)
     local = turn.inv().apply(force[:, 0])
     expected = [local[:, 2], local[:, 0], local[:, 1], turn.inv().apply(torque[:, 0])[:, 2]]
     np.testing.assert_allclose(low[0], np.quantile(expected, 0.05, axis=1))
     np.testing.assert_allclose(high[0], np.quantile(expected, 0.95, axis=1))
     oblique = Rotation.from_euler("x", 20.0, degrees=True).as_matrix()[None]
-    assert _band_ends(band, oblique, slice(None), about_axis=True) == (None, None)
+    assert _band_ends(band, oblique, np.arange(400), about_axis=True) == (None, None)
 
 
 def test_a_band_of_other_depths_is_drawn_over_time_alone():
@@ -153,6 +153,7 @@ def test_the_legend_names_the_folders_of_saved_runs(other, tmp_path):
         shutil.copytree(other.path, tmp_path / name)
     two = [tissue.Run.load(tmp_path / name) for name in ("p04", "p10")]
     found = tissue.compare(*two)
+    assert legend(found.plot()) == ["p04", "p10"]
     found.scene_differences = {"seed": (404, 610), "device.hand": ("novice", "expert")}
     assert legend(found.plot()) == ["p04: seed 404, hand novice", "p10: seed 610, hand expert"]
     for name in ("p04", "p10"):

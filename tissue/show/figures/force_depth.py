@@ -1,11 +1,12 @@
-"""Figures of force over depth: for a first descent, for a needle, and for a ball on a wall."""
+"""Figures of force over depth: for a rotating tool, for a needle, and for a ball on a wall."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Flags
+from meshes.base.arrays import Array, Flags, Ints
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.tool import Probe
@@ -21,24 +22,21 @@ from tissue.show.figures.figure import (
     styled,
 )
 from tissue.show.figures.force_time import FLICKER_S, spells
-from tissue.simulation.bone_surface import HALF, facing, tool_axes
+from tissue.simulation.bone_surface import facing, tool_axes
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.run import Run
 from tissue.simulation.saved_fields import field_label
 from tissue.simulation.trace import NO_LAYER
 
-RISE_MM = 0.2
-"""Rise of the tool that ends a descent [mm].
-
-The value is twice the tremor of a novice's hand (0.1 mm, tissue/materials/hands.toml).
-"""
+APPROACH_MM = 0.2
+"""Height above the first contact at which a plot over depth begins [mm]; chosen for the plot."""
 
 
-def first_descent(coordinate_mm: Array, contact: Flags) -> slice:
-    """Return the rows of the trace in which the tool first moves down into the tissue.
+def deepening_rows(coordinate_mm: Array, contact: Flags) -> Ints:
+    """Return the rows of the trace in which the tip is deeper than in all previous rows.
 
-    The rows start where the tip is `RISE_MM` above its position at the first contact. They end at
-    the deepest point that the tip reaches before it rises again by more than `RISE_MM`.
+    The rows start where the tip is `APPROACH_MM` above its position at the first contact. Motion
+    sideways and upwards has no rows, so that each depth occurs only once.
 
     Parameters
     ----------
@@ -48,35 +46,23 @@ def first_descent(coordinate_mm: Array, contact: Flags) -> slice:
         True where the tool touches tissue, shape (rows,).
     """
     if not contact.any():
-        return slice(0, 0)
+        return np.zeros(0, dtype=np.int64)
     first = int(contact.argmax())
-    down = coordinate_mm[first:]
-    risen = down > np.minimum.accumulate(down) + RISE_MM
-    stop = int(risen.argmax()) if risen.any() else len(down)
-    # the first row at the deepest point, up to rounding: a tool that rests there would add a
-    # vertical line
-    last = first + int(np.argmax(down[:stop] <= down[:stop].min() + 1e-6))
-    before = int(np.searchsorted(-coordinate_mm[:first], -(coordinate_mm[first] + RISE_MM)))
-    return slice(before, last + 1)
-
-
-def layers_passed(run: Run, tips_mm: Array) -> NDArray[np.str_]:
-    """Return the name of the layer at each position of the tip before any cut, shape (n,).
-
-    `tips_mm` contains the positions [mm], shape (n, 3).
-    """
-    volume = run.volume
-    place = np.floor((tips_mm * 1e-3 - volume.origin_m) / volume.spacing_m).astype(int)
-    # tips outside of the voxels are clipped to have an index, and get no layer
-    inside = ((place >= 0) & (place < volume.shape)).all(axis=1)
-    x, y, z = np.clip(place, 0, np.array(volume.shape) - 1).T
-    inside &= volume.fraction[x, y, z] >= HALF
-    return np.where(inside, np.array(volume.layer_names)[volume.layer[x, y, z]], NO_LAYER)
+    height = coordinate_mm.copy()
+    # a tool that approaches from the side may be lower before its first contact
+    height[:first] = np.maximum(height[:first], height[first])
+    lowest = np.minimum.accumulate(height)
+    # 1e-9 mm: rounding of the position of a tool at rest
+    is_deeper = np.append(True, lowest[1:] < lowest[:-1] - 1e-9)
+    return np.flatnonzero(is_deeper & (height <= height[first] + APPROACH_MM))
 
 
 @styled
 def draw_force_depth(run: Run, path: Path) -> str | None:
-    """Draw force and other values of the tissue over depth while the tool first moves down.
+    """Draw force and other values of the tissue over depth, each where the tip is first so deep.
+
+    The shades are the layers of largest contact in the rows of `deepening_rows`. The legend has the
+    mean force over all ticks of the run with the same layer of largest contact.
 
     Parameters
     ----------
@@ -92,13 +78,13 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
     trace = run.trace
     axis, outward = facing(trace)
     tips = trace.vectors("tool", "mm")
-    rows = first_descent(outward * tips[:, axis], trace["contact_mm2"] > 0.0)
+    contact = trace["contact_mm2"] > 0.0
+    coordinate_mm = outward * tips[:, axis]
+    rows = deepening_rows(coordinate_mm, contact)
     # a single point is no curve
-    if len(tips[rows]) < 2:
+    if contact[rows].sum() < 2:
         return "the tool did not go down into the tissue"
-    coordinate_mm = outward * tips[rows, axis]
-    passed = layers_passed(run, tips[rows])
-    depth = coordinate_mm[int((passed != NO_LAYER).argmax())] - coordinate_mm
+    depth = coordinate_mm[contact.argmax()] - coordinate_mm[rows]
     measures: dict[str, list[str]] = {}
     for name in run.parts.tissue.measure_names:
         measures.setdefault(field_label(name)[1], []).append(name)
@@ -107,17 +93,17 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
     heights = [2.2, *([1.0] * len(measures))]
     # 3.55 in: the panel of the force, title, and label of the axis
     chart, panels = panelled(
-        f"{run.scene.name}: force on the tool over depth, first descent",
+        f"{run.scene.name}: force on the tool where its tip is first at each depth",
         (8.0, 3.55 + 1.3 * len(measures)),
         len(heights),
         sharex=True,
         height_ratios=heights,
     )
     turns = tool_axes(trace.quaternions()[rows])
-    model = trace.vectors("model_force", "N")[rows]
+    model = trace.vectors("model_force", "N")
     size = np.linalg.norm(model, axis=1)
-    along = np.einsum("ij,ij->i", model, turns)
-    panels[0].plot(depth, size, color="0.1", label="magnitude")
+    along = np.einsum("ij,ij->i", model[rows], turns)
+    panels[0].plot(depth, size[rows], color="0.1", label="magnitude")
     label = "along the tool's axis, outward"
     panels[0].plot(depth, along, color=COMPONENTS[0], linestyle=(0, (4, 2)), label=label)
     panels[0].set_ylabel("force / N")
@@ -127,45 +113,35 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
         axes.set_ylabel(field_words(*names).replace(" / ", "\n/ "))
         if len(names) > 1:
             axes.legend(ncols=len(names), loc="best")
-    _shade(run, panels, depth, passed, size)
+    _shade(run, panels, depth, rows, size)
     plain(panels)
     panels[-1].set_xlim(depth[0], depth[-1])
-    panels[-1].set_xlabel("depth of the tool's tip below the surface / mm")
+    panels[-1].set_xlabel("depth of the tool's tip from its first contact / mm")
     chart.align_ylabels(panels)
     legend_above(panels[0], 2)
     save(chart, path)
     return None
 
 
-def _shade(
-    run: Run, panels: NDArray[np.object_], depth: Array, passed: NDArray[np.str_], force: Array
-) -> None:
-    """Shade a band for each layer, with the name of the layer and the mean force in it."""
+def _shade(run: Run, panels: NDArray[np.object_], depth: Array, rows: Ints, force: Array) -> None:
+    """Shade the depths of each layer of largest contact, and name its mean force in the legend.
+
+    `depth` belongs to `rows`, and `force` to all rows of the trace.
+    """
+    layers = run.trace["layer"]
     colours = layer_colours(run.volume.layer_names)
-    for first, last, name in spells(passed, shortest=round(FLICKER_S / TICK_S)):
+    look: dict[str, Any] = {"alpha": 0.28, "linewidth": 0.0}
+    for first, last, name in spells(layers[rows], shortest=round(FLICKER_S / TICK_S)):
         if name == NO_LAYER:
             continue
-        ends = depth[first], depth[min(last, len(depth) - 1)]
         for axes in panels:
-            axes.axvspan(*ends, color=colours[name], alpha=0.28, linewidth=0.0, zorder=0)
-            axes.axvline(ends[0], color="0.35", linewidth=0.7, zorder=1)
-        share = (ends[1] - ends[0]) / (depth[-1] - depth[0])
-        mean = f"mean {force[first:last].mean():.2g} N"
-        # a narrower band has no space even for upright text; up to 0.12 it is written upright
-        if share > 0.02:
-            panels[0].text(
-                0.5 * sum(ends),
-                0.97,
-                f"{name}\n{mean}" if share > 0.12 else f"{name}, {mean}",
-                transform=panels[0].get_xaxis_transform(),
-                rotation=0.0 if share > 0.12 else 90.0,
-                ha="center",
-                va="top",
-                size=8.5,
-            )
-    low, high = panels[0].get_ylim()
-    # the names of the layers need a fifth of the panel above the curves
-    panels[0].set_ylim(min(low, 0.0), high + 0.2 * (high - low))
+            end = depth[min(last, len(depth) - 1)]
+            axes.axvspan(depth[first], end, color=colours[name], zorder=0, **look)
+    for name, colour in colours.items():
+        in_layer = layers == name
+        if in_layer.any():
+            label = f"{name}: mean {force[in_layer].mean():.2g} N over the whole run"
+            panels[0].plot([], [], color=colour, alpha=look["alpha"], linewidth=8.0, label=label)
 
 
 SHARES = (

@@ -254,7 +254,8 @@ def draw_played(run: Run, path: Path) -> None:
 
     Shading marks the times at which the force is compressed into the range of the device.
 
-    A separate panel enlarges the interval with the largest change of force per millisecond.
+    A separate panel enlarges the interval with the largest change of force per millisecond in
+    contact.
     """
     trace = run.trace
     held = run.scene.held
@@ -277,7 +278,9 @@ def draw_played(run: Run, path: Path) -> None:
         if f"{name}_x_N" in trace.columns
     }
     sizes["model_force"] *= scale
-    steepest = int(np.abs(np.diff(sizes["raw_force"], prepend=0.0)).argmax())
+    change = np.abs(np.diff(sizes["raw_force"], prepend=0.0))
+    # the motion of the hand before the contact changes the force, too
+    steepest = int(np.where(trace["contact_mm2"] > 0.0, change, 0.0).argmax())
     # a quarter of the moment is shown before the steepest change
     first = max(steepest - round(0.25 * MOMENT_S / TICK_S), 0)
     moment = slice(first, first + round(MOMENT_S / TICK_S))
@@ -300,7 +303,7 @@ def draw_played(run: Run, path: Path) -> None:
             label="compressed into the device's range",
         )
     panels[0].axvspan(time[moment][0], time[moment][-1], color="0.85", linewidth=0.0, zorder=0)
-    panels[1].set_title("the steepest moment, grey above", loc="left")
+    panels[1].set_title("steepest change of force in contact, grey above", loc="left")
     apart = np.abs(trace.vectors("tool", "mm") - trace.vectors("device", "mm")).max(axis=0)
     axis = "xyz"[int(apart.argmax())]
     # the tool's line is thinner and drawn last, so that both are visible where they coincide

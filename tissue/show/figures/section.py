@@ -1,5 +1,7 @@
-"""Section through the deepest point of the tool, with layers, removed tissue, stress and structures
-to keep clear of.
+"""Section through the tool, with layers, removed tissue, stress and structures to keep clear of.
+
+The plane goes through the deepest point of the tool. For a scene with structures to keep clear of,
+it goes through the tool's axis and the nearest point of a structure.
 """
 
 from dataclasses import dataclass
@@ -8,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from meshes.base.arrays import Array, Bytes
+from meshes.base.arrays import Array, Bytes, Floats
 from meshes.voxels.volume import FULL
 from tissue.fem.fields import FieldSeries, Frame
-from tissue.scene.anatomy import Tooth
 from tissue.show.figures.figure import (
     EDGE,
     axis_names,
@@ -47,15 +49,15 @@ same.
 
 @dataclass(frozen=True)
 class Section:
-    """Voxels in a plane that contains the tool's axis.
+    """Voxels in a plane.
 
     Attributes
     ----------
     axes
-        Indices (0 to 2) of three world axes: the axes along the first and the second index of the
-        arrays, and the axis perpendicular to the plane.
-    place_mm
-        Coordinate of the plane along its normal [mm].
+        Unit vectors (rows): the directions of the first and the second index of the arrays, and the
+        normal of the plane, shape (3, 3).
+    origin_mm
+        Point of the plane with the coordinates 0 along the first two axes [mm], shape (3,).
     row
         Row of the trace at the shown time.
     extent_mm
@@ -67,13 +69,73 @@ class Section:
         Layer of each voxel, shape (nu, nv).
     """
 
-    axes: tuple[int, int, int]
-    place_mm: float
+    axes: Array
+    origin_mm: Array
     row: int
     extent_mm: tuple[float, float, float, float]
     start: Array
     left: Array
     layer: Bytes
+
+    def points_mm(self, u_mm: Array, v_mm: Array) -> Array:
+        """Return the points at coordinates in the plane [mm], shape (len(u), len(v), 3)."""
+        return _points_mm(self.axes, self.origin_mm, u_mm, v_mm)
+
+    def project(self, points_mm: Array) -> Array:
+        """Return the coordinates of points in the plane [mm], shape (n, 2)."""
+        return (points_mm - self.origin_mm) @ self.axes[:2].T
+
+
+def _points_mm(axes: Array, origin_mm: Array, u_mm: Array, v_mm: Array) -> Array:
+    return origin_mm + u_mm[:, None, None] * axes[0] + v_mm[:, None] * axes[1]
+
+
+@dataclass(frozen=True)
+class Closest:
+    """Smallest distance between the tool and a structure to keep clear of.
+
+    Attributes
+    ----------
+    name
+        Name of the structure.
+    row
+        Row of the trace with the smallest distance.
+    points_mm
+        Nearest points of the tool and of the structure [mm], shape (2, 3).
+    """
+
+    name: str
+    row: int
+    points_mm: Array
+
+
+def closest(run: Run) -> Closest | None:
+    """Return the smallest of the `distances_to_structures`.
+
+    The result is None for a run without structures.
+    """
+    clear = run.parts.keep_clear
+    distances_mm = distances_to_structures(run)
+    if clear is None or not distances_mm:
+        return None
+    name = min(distances_mm, key=lambda each: distances_mm[each])
+    # the trace may have smaller distances after the tool left the simulated region
+    apart = np.abs(run.trace[f"distance_{name}_mm"] - distances_mm[name])
+    row = int(apart.argmin())
+    turn = Rotation.from_quat(run.trace.quaternions()[row])
+    body_mm = turn.apply(1e3 * clear.points_m) + run.trace.vectors("tool", "mm")[row]
+
+    def distance_mm(points_mm: Array) -> Floats:
+        return 1e3 * np.asarray(clear.distances[name](1e-3 * points_mm))
+
+    apart_mm = distance_mm(body_mm)
+    nearest = int(apart_mm.argmin())
+    of_tool = body_mm[nearest]
+    # 0.01 mm: a step far above the rounding of the distance and far below the size of a structure
+    steps = 0.01 * np.eye(3)
+    slope = distance_mm(of_tool + steps) - distance_mm(of_tool - steps)
+    away = slope / max(float(np.linalg.norm(slope)), 1e-12)
+    return Closest(name, row, np.stack([of_tool, of_tool - apart_mm[nearest] * away]))
 
 
 def plane_of(run: Run, row: int) -> tuple[tuple[int, int, int], float]:
@@ -101,10 +163,8 @@ def plane_of(run: Run, row: int) -> tuple[tuple[int, int, int], float]:
     return (across, axis, normal), float(tips[deepest, normal])
 
 
-def section_of(run: Run, row: int) -> Section:
-    """Return the section through the deepest point of the tool up to a row of the trace.
-
-    The section lies in the plane of `plane_of`.
+def section_of(run: Run, row: int, through_mm: Array | None = None) -> Section:
+    """Return the section at a row of the trace.
 
     Parameters
     ----------
@@ -112,29 +172,58 @@ def section_of(run: Run, row: int) -> Section:
         A run with voxels.
     row
         Row of the trace at the shown time.
+    through_mm
+        Point in the plane [mm], shape (3,). The plane also contains the axis of the tool. With
+        None, the section lies in the plane of `plane_of`.
     """
     volume = run.volume
-    axes, place = plane_of(run, row)
-    across, axis, normal = axes
     spacing = 1e3 * volume.spacing_m
-    origin = 1e3 * volume.origin_m
-    index = int(np.clip(np.floor((place - origin[normal]) / spacing), 0, volume.shape[normal] - 1))
+    low, high = 1e3 * np.array(volume.bounds_m)
+    if through_mm is None:
+        order, place = plane_of(run, row)
+        axes = np.eye(3)[list(order)]
+        # a tool that has left the voxels still shows their last plane
+        normal = order[2]
+        inside = np.clip(place, low[normal] + 0.5 * spacing, high[normal] - 0.5 * spacing)
+        origin = axes[2] * inside
+    else:
+        origin = run.trace.vectors("tool", "mm")[row]
+        axes = _axes_through(run, row, through_mm)
+    box = np.stack([low, high])
+    corners = np.stack(np.meshgrid(*box.T, indexing="ij"), axis=-1).reshape(-1, 3)
+    spread = (corners - origin) @ axes[:2].T
+    first = spread.min(axis=0)
+    counts = np.rint(np.ptp(spread, axis=0) / spacing).astype(int)
+    u, v = (first[k] + spacing * (np.arange(counts[k]) + 0.5) for k in (0, 1))
+    # 1e-6 voxels: rounding of a plane between two layers of voxels
+    places = (_points_mm(axes, origin, u, v) - low) / spacing + 1e-6
+    is_inside = ((places >= 0.0) & (places < volume.shape)).all(axis=-1)
+    index = tuple(np.moveaxis(np.clip(places.astype(int), 0, np.array(volume.shape) - 1), -1, 0))
     left = run.remaining if run.poses is None else run.replay().at(row)
-    planes = (np.take(array, index, axis=normal) for array in (volume.fraction, left, volume.layer))
-    # `take` keeps the order of the world's axes, but the first index of a section runs across
-    start, left, layer = (plane if across < axis else plane.T for plane in planes)
-    ends = [
-        (float(origin[a]), float(origin[a] + spacing * volume.shape[a])) for a in (across, axis)
-    ]
+    end = first + spacing * counts
     return Section(
         axes=axes,
-        place_mm=place,
+        origin_mm=origin,
         row=row,
-        extent_mm=(*ends[0], *ends[1]),
-        start=start / FULL,
-        left=left / FULL,
-        layer=layer,
+        extent_mm=(float(first[0]), float(end[0]), float(first[1]), float(end[1])),
+        start=np.where(is_inside, volume.fraction[index], 0) / FULL,
+        left=np.where(is_inside, left[index], 0) / FULL,
+        layer=volume.layer[index],
     )
+
+
+def _axes_through(run: Run, row: int, point_mm: Array) -> Array:
+    """Return the axes of the plane through the tool's axis and a point, as in `Section.axes`."""
+    along = tool_axes(run.trace.quaternions())[row]
+    sideways = point_mm - run.trace.vectors("tool", "mm")[row]
+    # a point on the axis does not determine the plane, so the main direction of motion is used
+    for direction in (sideways, *np.eye(3)[list(plane_of(run, row)[0])]):
+        across = direction - (direction @ along) * along
+        length = float(np.linalg.norm(across))
+        if length > 0.01:
+            break
+    across = across / length
+    return np.stack([across, along, np.cross(across, along)])
 
 
 def loaded_frame(series: FieldSeries) -> Frame | None:
@@ -149,6 +238,12 @@ def loaded_frame(series: FieldSeries) -> Frame | None:
     # 1e-12 MPa: without any stress, no frame counts as loaded
     loaded = np.flatnonzero(np.array(peaks) >= max(0.1 * max(peaks, default=0.0), 1e-12))
     return series.frames[loaded[-1]] if len(loaded) else None
+
+
+def nearest_frame(series: FieldSeries, time_s: float) -> Frame | None:
+    """Return the frame with stress that is nearest to a time; None without such a frame."""
+    stressed = [frame for frame in series.frames if STRESS in frame.cells]
+    return min(stressed, key=lambda frame: abs(frame.time_s - time_s), default=None)
 
 
 def moment_of(run: Run) -> tuple[int, Frame | None]:
@@ -172,22 +267,23 @@ def draw_section(run: Run, path: Path) -> None:
     Stress is drawn only if fields were computed.
     """
     series = run.parts.fields
-    row, frame = moment_of(run)
-    section = section_of(run, row)
+    near = closest(run)
+    if near is None:
+        row, frame = moment_of(run)
+        section = section_of(run, row)
+    else:
+        row = near.row
+        frame = None if series is None else nearest_frame(series, run.trace["time_s"][row])
+        section = section_of(run, row, near.points_mm[1])
     window = shown_mm(run, section)
     u0, u1, v0, v1 = window
     shape = (v1 - v0) / (u1 - u0)
     # inches: two panels and a colour bar, or one panel of at most 5.2 in both directions
     wide = 3.05 if frame is not None else min(5.2, 5.2 / shape)
-    x, y, normal = (f"{axis_names(run)[each]}" for each in section.axes)
-    tissue = "tooth" if isinstance(run.scene.anatomy, Tooth) else "bone"
-    touched = bool((run.trace["contact_mm2"] > 0.0).any())
-    # `plane_of` looks only at the ticks in contact if there are any
-    deepest = "the deepest point in contact" if touched else "the deepest point of the path"
+    through, x, y = _described(run, section, near)
     # 1.75 in for title, titles of the panels, label of the axis and legend
     chart, panels = panelled(
-        f"{run.scene.name}: tool and {tissue} at {run.trace['time_s'][row]:.3f} s. Section at "
-        f"{normal} = {section.place_mm:.2f} mm, through {deepest}",
+        f"{run.scene.name}: section at {run.trace['time_s'][row]:.3f} s through {through}",
         (8.0, wide * shape + 1.75),
         1,
         1 if frame is None else 2,
@@ -196,18 +292,34 @@ def draw_section(run: Run, path: Path) -> None:
     )
     _draw_layers(panels[0], run, section)
     structures = draw_kept_clear(panels[0], run, window, section)
+    if near is not None:
+        panels[0].plot(
+            *section.project(near.points_mm).T, color="black", marker="o", markersize=3.0
+        )
     panels[0].set_ylabel(f"{y} / mm")
     panels[0].set_title("layers and removed tissue")
     handles = _handles(run, section)
     chart.legend(handles=[*handles, *structures], loc="outside lower center", ncols=4)
     if series is not None and frame is not None:
         drawn = _draw_stress(panels[1], series, frame, section)
-        panels[1].set_title("stress")
+        panels[1].set_title("stress" if near is None else f"stress at {frame.time_s:.3f} s")
         chart.colorbar(drawn, ax=panels[1], extend="both", label="von Mises stress / MPa")
     for panel in panels:
         _draw_tool(panel, run, section)
         panel.set(xlabel=f"{x} / mm", xlim=window[:2], ylim=window[2:], aspect="equal")
     save(chart, path)
+
+
+def _described(run: Run, section: Section, near: Closest | None) -> tuple[str, str, str]:
+    """Return texts for a section: where it lies, and the names of its two axes."""
+    if near is not None:
+        through = f"the tool's axis and the nearest point of {near.name}"
+        return through, f"from the tool's axis towards {near.name}", "along the tool's axis"
+    x, y, normal = (axis_names(run)[each] for each in section.axes.argmax(axis=1))
+    touched = bool((run.trace["contact_mm2"] > 0.0).any())
+    # `plane_of` looks only at the ticks in contact if there are any
+    deepest = "the deepest point in contact" if touched else "the deepest point of the path"
+    return f"{deepest}, {normal} = {section.origin_mm @ section.axes[2]:.2f} mm", x, y
 
 
 def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
@@ -243,9 +355,8 @@ def _removed_colour(colours: Array) -> Array:
 
 def _draw_tool(axes: "Axes", run: Run, section: Section) -> None:
     """Draw the outline of the tool at the shown time, and the path of its tip so far."""
-    plane = list(section.axes[:2])
-    tips = run.trace.vectors("tool", "mm")[: section.row + 1, plane]
-    along = tool_axes(run.trace.quaternions())[section.row, plane]
+    tips = section.project(run.trace.vectors("tool", "mm")[: section.row + 1])
+    along = section.axes[:2] @ tool_axes(run.trace.quaternions())[section.row]
     # a tool at right angles to the section has no direction in it
     along = along / max(float(np.hypot(*along)), 1e-9)
     side = np.array([along[1], -along[0]])
@@ -294,12 +405,11 @@ def _section_stress(series: FieldSeries, frame: Frame, section: Section) -> Arra
         return np.full(section.layer.shape, np.nan)
     u0, u1, v0, v1 = section.extent_mm
     (columns, rows) = section.layer.shape
-    across, axis, normal = section.axes
+    u = u0 + (u1 - u0) * (np.arange(columns) + 0.5) / columns
+    v = v0 + (v1 - v0) * (np.arange(rows) + 0.5) / rows
     # the layer is a fourth coordinate, so far apart that cells of the own layer are nearest
     places = np.empty((columns, rows, 4))
-    places[..., across] = (u0 + (u1 - u0) * (np.arange(columns) + 0.5) / columns)[:, None]
-    places[..., axis] = v0 + (v1 - v0) * (np.arange(rows) + 0.5) / rows
-    places[..., normal] = section.place_mm
+    places[..., :3] = section.points_mm(u, v)
     places[..., 3] = LAYERS_APART_MM * section.layer
     centres_mm = 1e3 * series.nodes_m[series.cells[there]].mean(axis=1)
     known = np.column_stack([centres_mm, LAYERS_APART_MM * series.layer[there]])
@@ -379,19 +489,15 @@ def draw_kept_clear(
     clear = run.parts.keep_clear
     if clear is None:
         return []
-    across, axis, _ = section.axes
     u, v = (np.linspace(window[k], window[k + 1], ACROSS) for k in (0, 2))
-    points_mm = np.full((ACROSS, ACROSS, 3), section.place_mm)
-    points_mm[..., across] = u[None, :]
-    points_mm[..., axis] = v[:, None]
+    points_m = 1e-3 * section.points_mm(u, v).reshape(-1, 3)
     end = run.parts.region_end
     until = "" if end is None or end.left_s is None else f",\nup to {end.left_s:.3f} s"
     handles: list[Artist] = []
     for (name, least_mm), colour in zip(
         distances_to_structures(run).items(), cycle(STRUCTURES), strict=False
     ):
-        depth = np.asarray(clear.distances[name](1e-3 * points_mm.reshape(-1, 3)))
-        depth = depth.reshape(ACROSS, ACROSS)
+        depth = np.asarray(clear.distances[name](points_m)).reshape(ACROSS, ACROSS).T
         # the section does not meet the structure otherwise, and contour() would warn
         if depth.min() < 0.0 < depth.max():
             axes.contourf(u, v, depth, [float(depth.min()), 0.0], colors=[colour], alpha=0.15)

@@ -1,7 +1,7 @@
 """Text of a report as HTML: key figures, bands, events, notes, materials, scene and versions."""
 
 from base64 import b64encode
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from meshes.base.errors import counted
@@ -235,6 +235,9 @@ BAND_PICTURES = {
     "band": "loads over time with their bands",
     "band_sobol": "which constant matters",
 }
+SECTION = {
+    "section": "Section through the tool, with the layers and the structures to keep clear of."
+}
 PICTURES = {"png": "image/png", "svg": "image/svg+xml"}
 """Picture formats that a page can show, with their media types."""
 
@@ -259,16 +262,18 @@ def band_section(saved: SavedRun, text: Text) -> str:
     )
     table = _table(("figure", "this run", "median", "50 %", "90 %"), rows)
     lines = html_list(band_lines(band), text)
-    return f"<h2>Bands</h2><p>{sentence}</p>{table}{lines}{_pictures(saved)}"
+    return f"<h2>Bands</h2><p>{sentence}</p>{table}{lines}{pictures_of(saved, BAND_PICTURES)}"
 
 
-def _pictures(saved: SavedRun) -> str:
+def pictures_of(saved: SavedRun, captions: Mapping[str, str]) -> str:
+    """Return the HTML of the pictures that a run has, from the captions by the names of files."""
     found = []
-    for name, about in BAND_PICTURES.items():
+    for name, about in captions.items():
         for ending, kind in PICTURES.items():
             path = saved.path / "pictures" / f"{name}.{ending}"
             if path.is_file():
-                found.append(html_picture(about, path.read_bytes(), kind))
+                shown = html_picture(about, path.read_bytes(), kind)
+                found.append(f"<figure>{shown}<figcaption>{about}</figcaption></figure>")
     return "".join(found)
 
 

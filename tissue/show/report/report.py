@@ -21,12 +21,14 @@ from tissue.scene.texts import folders_of
 from tissue.scene.used_constants import used_constants
 from tissue.show.report.charts import Record, charts, columns
 from tissue.show.report.page import (
+    SECTION,
     assessment_section,
     band_section,
     events_table,
     figures_of,
     materials_table,
     notes_table,
+    pictures_of,
     reproduce,
     status_of,
 )
@@ -134,6 +136,7 @@ def _html(
         figures_of(saved, text),
         "<h2>In 3D</h2>",
         _own("stage.html"),
+        pictures_of(saved, SECTION),
         "<h2>Forces</h2>" + _own("charts.html")
         if data["trace"]
         else "<p>The run left no tick.</p>",

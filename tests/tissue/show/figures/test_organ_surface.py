@@ -34,7 +34,9 @@ def test_the_stress_of_a_section_is_that_of_the_nearest_cell_of_the_layer():
     frame = Frame(0.0, {}, {STRESS: np.array([1.0, np.nan, 3.0, 4.0])})
     layer = np.array([0, 0, 0, 0, 1, 1, 1, 1, 2, 2], np.uint8)[:, None]
     full = np.ones(layer.shape)
-    section = Section((0, 2, 1), 0.5, 0, (0.0, 5.0, 0.0, 1.0), full, full, layer)
+    section = Section(
+        np.eye(3)[[0, 2, 1]], np.array([0.0, 0.5, 0.0]), 0, (0.0, 5.0, 0.0, 1.0), full, full, layer
+    )
     found = _section_stress(series, frame, section)[:, 0]
     np.testing.assert_array_equal(found[:8], [1.0] * 4 + [3.0] * 2 + [4.0] * 2)
     assert np.isfinite(found[8:]).all()

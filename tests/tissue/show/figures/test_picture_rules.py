@@ -10,6 +10,8 @@ import pytest
 
 import tissue
 from meshes.base.errors import InputError
+from tissue.show.figures import force_time
+from tissue.show.figures.force_depth import draw_force_depth
 from tissue.show.figures.force_time import draw_force_torque, joined_events, spells
 from tissue.simulation.run_folder import picture_format
 
@@ -53,6 +55,26 @@ def test_the_force_picture_names_every_line(molar, tmp_path):
     first = file.read_bytes()
     draw_force_torque(molar, file)
     assert file.read_bytes() == first
+
+
+def test_the_force_over_depth_has_the_mean_of_the_ticks_of_each_layer(molar, tmp_path):
+    file = tmp_path / "depth.svg"
+    assert draw_force_depth(molar, file) is None
+    force = np.linalg.norm(molar.trace.vectors("model_force", "N"), axis=1)
+    mean = force[molar.trace["layer"] == "enamel"].mean()
+    assert f"enamel: mean {mean:.2g} N over the whole run" in _words(file)
+
+
+def test_the_steepest_change_of_the_played_force_is_in_contact(monkeypatch, tmp_path):
+    run = tissue.simulate(tissue.load_scene("wall", {"duration_s": 0.6}))
+    # a hand that accelerates before the contact
+    run.trace.rows[2:4, run.trace.columns.index("raw_force_z_N")] = 100.0
+    charts = []
+    monkeypatch.setattr(force_time, "save", lambda chart, path: charts.append(chart))
+    force_time.draw_played(run, tmp_path / "played.png")
+    shown_s = charts[0].axes[1].lines[0].get_xdata()
+    touched_s = run.trace["time_s"][run.trace["contact_mm2"] > 0.0]
+    assert shown_s[0] > 0.003 and shown_s[-1] > touched_s[0]
 
 
 def test_an_unknown_format_is_refused_before_anything_is_written(molar, tmp_path):

@@ -6,6 +6,7 @@ It contacts no host, holds the content of the run, and never reads text as marku
 import json
 import re
 import shutil
+from base64 import b64encode
 from html.parser import HTMLParser
 
 import numpy as np
@@ -82,6 +83,16 @@ def test_a_report_holds_what_the_run_holds(report_of, run_folder):
     bone = next(part for part in data["stage"]["parts"] if part.get("group") == "bone")
     assert len(bone["frames"]) >= 3
     assert np.array(data["stage"]["bounds"]["bone"]).shape == (2, 3)
+
+
+def test_a_report_has_the_section_of_its_run(run_folder, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(run_folder("wall"), folder)
+    (folder / "pictures").mkdir()
+    (folder / "pictures" / "section.png").write_bytes(b"picture")
+    page = report(folder, tmp_path / "report.html").read_text("utf-8")
+    assert b64encode(b"picture").decode() in page
+    assert "<figcaption>Section through the tool" in page
 
 
 def test_text_of_a_run_is_never_markup(run_folder, tmp_path):
