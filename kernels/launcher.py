@@ -218,7 +218,7 @@ _counts = LaunchCounts()
 
 
 def launch_counts() -> LaunchCounts:
-    """Return a copy of the numbers of long and of split kernel launches in this process."""
+    """Return a copy of this process's counts of kernel launches, see `LaunchCounts`."""
     return LaunchCounts(_counts.large, _counts.split)
 
 

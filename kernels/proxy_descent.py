@@ -243,8 +243,8 @@ def react(
 ):
     """Compute the contact forces that act on the tool during a motion.
 
-    Return the sum of the forces, divided by the coupling's stiffness, and the number of linear
-    systems solved.
+    Return the sum of the forces, divided by the stiffness of the coupling spring, and the number of
+    linear systems solved.
     """
     reaction = Reaction()
     compliance = settings.compliance

@@ -195,7 +195,7 @@ def stretch_force(
     energy_out: Doubles,  # [cell] [J]
     force_out: Vectors2D,  # [cell, node of the cell], derivative of the energy [N]
 ):
-    """Compute the energy of each cell, and its derivative with respect to node positions."""
+    """Compute the energy of each cell, and the energy's derivative by node positions."""
     cell = wp.tid() + offset
     for a in range(nodes.shape[1]):
         force_out[cell, a] = wp.vec3d()

@@ -119,7 +119,7 @@ def tet_force(
     energy_out: Doubles,  # [cell] [J]
     force_out: Vectors2D,  # [cell, node of the cell], derivative of the energy [N]
 ):
-    """Compute the energy of each cell, and its derivative with respect to node positions."""
+    """Compute the energy of each cell, and the energy's derivative by node positions."""
     cell = wp.tid() + offset
     lam = lame[cell, 0]
     mu = lame[cell, 1]

@@ -19,7 +19,7 @@ Triangles = tuple[Array, Ints]
 
 
 def lattice(*axes: ArrayLike) -> Any:
-    """Return all points of a lattice, shape (n, number of axes), from its coordinates per axis.
+    """Return all points of a lattice, shape (n, number of axes), from coordinates per axis.
 
     The last axis varies fastest.
     """
@@ -49,7 +49,7 @@ def compact(points: Array, cells: Ints) -> tuple[Array, Ints]:
 
 
 def directed_edges(triangles: Ints) -> Ints:
-    """Return the start and end index of each edge of m triangles, shape (3 m, 2).
+    """Return the start and end point index, shape (3 m, 2), of each edge of m triangles.
 
     The result contains the first edges of all triangles, then the second edges, then the third
     edges.

@@ -1,6 +1,6 @@
 """On-disk cache for expensive arrays, and in-memory store of recent results.
 
-An entry is identified by all inputs of its computation.
+A cache entry is identified by all inputs of the computation whose results it holds.
 """
 
 import hashlib
@@ -56,8 +56,8 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
     Notes
     -----
     A file contains the arrays, their types and shapes, a checksum, and the version of the code (the
-    version of tissue and of the module of ``make``). If the checksum or the version of a file does
-    not match, or the file cannot be read, its arrays are computed again. If the folder cannot be
+    version of tissue and of the module of ``make``). The arrays are computed again if the file
+    cannot be read, or if the checksum or the version does not match. If the folder cannot be
     written, nothing is stored.
     """
     digest = hashlib.blake2b(digest_size=_DIGEST_BYTES)

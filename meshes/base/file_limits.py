@@ -129,8 +129,8 @@ def read_npz(path: Path) -> "dict[str, NDArray[np.generic]]":
     InputError
         If the arrays would exceed the memory limit.
     ValueError
-        If the size in the header of an array does not match the size of its archive entry, or an
-        array contains Python objects.
+        If the array size in a header does not match the size of the archive entry, or an array
+        contains Python objects.
     """
     import numpy as np
 

@@ -47,7 +47,7 @@ class Grid:
 
     @property
     def origin_m(self) -> Array:
-        """Corner of the grid with the smallest coordinates [m], shape (3,)."""
+        """Corner [m], shape (3,), of the grid with the smallest coordinates."""
         return np.array(self.first) * self.spacing_m
 
     def blocked(self) -> Grid:

@@ -28,7 +28,7 @@ class Placement:
     Attributes
     ----------
     origin_mm
-        The scene's origin in the file's frame [mm], shape (3,).
+        Origin of the scene [mm], shape (3,), in the file's frame.
     rotation
         Axes of the scene as columns in the file's frame, shape (3, 3). The axes are right-handed.
     unit_mm

@@ -34,7 +34,7 @@ _LEAST_KG_M3 = 50.0
 Interpolation between bone and voxels without bone would give lower densities.
 """
 _PLATE_M = 5e-3
-"""Largest depth of a subchondral plate below the joint surface [m].
+"""Largest depth [m] of a subchondral plate below the joint surface.
 
 The plate is 1.2 to 2.9 mm thick on the glenoid (Frich), and thicker where a joint is loaded.
 """
@@ -69,12 +69,12 @@ def imaged_anatomy(
     """Return the anatomy of a bone in the site frame, with densities interpolated from an image.
 
     Dense bone is cortical. Dense bone within 5 mm below an articular face is the subchondral plate.
-    All other bone is trabecular.
+    Bone of lower density is trabecular.
 
     Parameters
     ----------
     surface
-        Surface of the bone in the frame of the image [m].
+        Surface of the bone [m], in the frame of the image.
     density
         Apparent density [kg/m3]. It must extend to at least one voxel outside the surface.
     cortical_above_kg_m3

@@ -1,12 +1,12 @@
 """Density calibration without a phantom, from the air, fat, muscle and cortex of the same CT.
 
 The method follows Michalski et al. 2020 (Med Eng Phys 78:55). The effective energy is the energy at
-which the attenuation of the reference tissues best fits their Hounsfield units. There are three
-differences from the paper. First, the linear attenuation is fitted, because Hounsfield units are
-linear in this attenuation. Second, all unknowns have priors and are estimated together, so the
-uncertainty of the density includes the uncertainty of the unknowns. Third, bone is treated as a
-mixture of dense bone (ICRU 44) and marrow. Published relations between K2HPO4 and ash density are
-not used, because they differ by 30 %.
+which tabulated attenuations of the reference tissues best fit the Hounsfield units of these
+tissues. There are three differences from the paper. First, the linear attenuation is fitted,
+because Hounsfield units are linear in this attenuation. Second, all unknowns have priors and are
+estimated together, so the uncertainty of the density includes the uncertainty of the unknowns.
+Third, bone is treated as a mixture of dense bone (ICRU 44) and marrow. Published relations between
+K2HPO4 and ash density are not used, because they differ by 30 %.
 """
 
 import math
@@ -219,7 +219,7 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
     Raises
     ------
     InputError
-        If too few tissues are given, or no energy fits their values.
+        If too few tissues are given, or no energy fits the values of the tissues.
     """
     from scipy.optimize import approx_fprime, least_squares
     from scipy.special import chdtri

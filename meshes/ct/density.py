@@ -123,7 +123,7 @@ CT_DENSITY = _scanner_law(
 """Density law of one scanner. Calibrate your own scanner before you rely on densities.
 
 Densities that are computed from the tables of ``attenuation.toml`` at 62 to 80 keV are 8 to 39 %
-lower than those of the law. They lie within the law's uncertainty band.
+lower than those of the law. These computed densities lie within the law's uncertainty band.
 """
 _MAYO_DENSITY = _scanner_law(
     "dragomir-daescu",

@@ -36,7 +36,7 @@ Along the normal, the unit is the distance between planes. Perpendicular to the 
 the pixel size. The value is not zero, because positions in headers are rounded.
 """
 _OFF_STATED = 0.01
-"""Largest relative difference between the measured and the stated distance of neighbouring planes.
+"""Largest relative difference between measured and stated distance of neighbouring image planes.
 
 For example, a header may state 0.67 mm for 2/3 mm.
 """

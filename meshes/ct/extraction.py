@@ -62,8 +62,8 @@ class BoneOfImage:
     image
         Part of the CT that contains the bone.
     field, level
-        Array with the shape of the image, and a threshold. A voxel is bone if its field value is
-        above the level.
+        Array (field) with the shape of the image, and threshold (level). A voxel is bone if the
+        value of the field is above the level.
     triangles
         Vertices [mm, LPS], shape (n, 3), and triangles, shape (m, 3).
     cuts
@@ -271,8 +271,8 @@ def filled(mask: Flags, image: Image) -> Flags:
     Gaps of the cortex are closed first. Then, in each plane normal to an image axis, the regions
     that the mask encloses are filled.
 
-    Three directions are used, because a bone that is cut off by the edge of the image encloses its
-    marrow only in planes of some directions.
+    Planes of three directions are used, because the edge of the image may cut off a bone. Only
+    planes of some directions then show the marrow enclosed.
     """
     from scipy.ndimage import binary_fill_holes, distance_transform_edt
 
@@ -295,8 +295,8 @@ def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints]
 
     The surface consists of vertices [mm, LPS], shape (n, 3), and triangles, shape (m, 3).
 
-    Each piece is smoothed separately, and its volume does not change. If a piece is so thin that
-    smoothing would remove it, its voxels are not smoothed.
+    Each piece is smoothed separately, and its volume does not change. A piece is not smoothed if it
+    is so thin that smoothing would remove the piece.
 
     Parameters
     ----------

@@ -315,7 +315,7 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
 
 
 def _of_masks(folder: Path) -> Labels:
-    """Read a folder of masks, each with the name of its label."""
+    """Read a folder of mask files. The name of each file is the name of the label."""
     masks = sorted(
         file
         for file in folder.iterdir()

@@ -226,7 +226,7 @@ def is_dicom(file: Path) -> bool:
 def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
     """Return the DICOM files of a path, each with a description for messages, and a list of notes.
 
-    The path is a folder, its DICOMDIR, or one file. Subfolders are searched too.
+    The path is a folder, a folder's DICOMDIR, or one file. Subfolders are searched too.
 
     Raises
     ------

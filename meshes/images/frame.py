@@ -178,8 +178,8 @@ def _nearest_axes(directions: Array) -> tuple[int, ...]:
 def _resampled(stored: StoredImage, source: str, labels: bool, lattice: Image | None) -> Image:
     """Resample an image on a grid along LPS axes that contains the whole image.
 
-    The grid has the spacing of the image. If `lattice` is given, its grid is used, cropped or
-    extended to the image.
+    The grid has the spacing of the image. If `lattice` is given, the grid of `lattice` is used,
+    cropped or extended to the image.
     """
     steps = stored.directions * stored.spacing_mm
     inverse = np.linalg.inv(steps)

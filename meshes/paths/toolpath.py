@@ -153,9 +153,10 @@ class PathDepth:
     Attributes
     ----------
     points_mm
-        Points of the path, and points between them, at most 0.5 mm apart [mm, LPS], shape (n, 3).
+        Points [mm, LPS], shape (n, 3), along the path: the points of the path, and intermediate
+        points. They are at most 0.5 mm apart.
     depth_mm
-        Distance of each point from the bone's surface [mm], shape (n,), positive inside the bone
+        Distance [mm], shape (n,), of each point from the bone's surface, positive inside the bone
         and negative outside.
     """
 
@@ -242,7 +243,7 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
 
 
 def _read_table(file: Path) -> Toolpath:
-    """Read a text table, in its frame."""
+    """Read a text table, without conversion to LPS."""
     table = read_table(file, "path")
     require_distinct_columns(table.names, "path", file)
     notes = [*table.notes]

@@ -29,9 +29,9 @@ and directly below the subchondral plate.
 Classify = Callable[[Floats, Floats], tuple[Bytes, Floats]]
 """Function from positions and depths of points to layer indices and apparent densities.
 
-Input: points [m], shape (n, 3), and the depth of each point below the outer surface [m], shape
-(n,). Output: layer index, uint8, shape (n,), and apparent density [kg/m3], shape (n,). Within a
-layer the density must vary smoothly over a millimetre.
+Input: points [m], shape (n, 3), and depth [m], shape (n,), of each point below the outer surface.
+Output: layer index, uint8, shape (n,), and apparent density [kg/m3], shape (n,). Within a layer the
+density must vary smoothly over a millimetre.
 """
 
 GridSampler = Callable[[Grid], tuple[Singles, Singles]]

@@ -285,7 +285,7 @@ def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, I
     Parameters
     ----------
     low_m, high_m
-        Corners of the box [m], shape (3,).
+        Corners [m], shape (3,), of the box.
 
     Returns
     -------

@@ -50,7 +50,7 @@ Tools do not reach this region.
 
 @dataclass(frozen=True)
 class _Pear:
-    """Outline in the x-y plane [m] that consists of two circles and their common tangents.
+    """Pear-shaped outline in the x-y plane [m]: two circles and the common tangents of the circles.
 
     The origin is the centre of the bounding box of the outline.
     """
@@ -376,7 +376,7 @@ def sampled_anatomy(
     """Build the anatomy of a surface from a function that samples the surface's triangles.
 
     The anatomy is in the frame of `site`. The notes of the anatomy describe the surface, its unit,
-    its repairs and the site. `notes` replace or extend them.
+    its repairs and the site. The argument `notes` replaces or extends these notes.
     """
     vertices = sampler.vertices_m
     report = surface.report

@@ -365,8 +365,8 @@ def _search_head(surface: Surface, kind: _Head) -> FoundSite:
 def _caps(samples: SurfaceSamples) -> list[_Cap]:
     """Fit spherical caps to a surface. A Hough transform gives the starting values.
 
-    Each sample point votes for possible sphere centres along its normal, one centre for each
-    radius. Fits start from the centres and radii with the most votes.
+    Each sample point votes for possible sphere centres along the normal at the point, one centre
+    for each radius. Fits start from the centres and radii with the most votes.
     """
     from scipy.sparse import coo_array
     from scipy.spatial import cKDTree

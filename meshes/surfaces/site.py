@@ -20,7 +20,7 @@ FACE_SAMPLES = 40_000
 On a scapula, the samples are 0.5 mm apart.
 """
 _FARTHEST_M = 10e-3
-"""Largest distance of a given site centre from the surface [m].
+"""Largest distance [m] of a given site centre from the surface.
 
 A larger distance indicates that the centre is given in another frame or unit.
 """

@@ -48,7 +48,7 @@ _UNITS = (("millimetres", 1.0, 5.0, 700.0), ("metres", 1000.0, 0.005, 0.7))
 For both units, the range corresponds to 5 to 700 mm.
 """
 _OTHER_UNITS = (("centimetres", 10.0), ("inches", 25.4))
-"""Name and length [mm] of other units that a surface may have if it is too small in millimetres."""
+"""Name and length [mm] of further units, for surfaces that are too small in millimetres."""
 _USUAL_BONE_MM = (60.0, 600.0)
 """Usual range of the longest side of a scanned bone [mm].
 
@@ -131,8 +131,8 @@ def read_surface(
         Millimetres per unit of the file. If None, the unit is guessed from the longest side of the
         bounding box (5 to 700: millimetres; 0.005 to 0.7: metres; otherwise an error is raised).
     cut_off
-        Whether the bone may end at the edge of its scan. If true, a large hole is closed by a face.
-        Otherwise, a large hole raises an error.
+        Whether the bone may be cut off by the edge of the scan. If true, a large hole is closed by
+        a face. Otherwise, a large hole raises an error.
 
     Raises
     ------

@@ -214,7 +214,7 @@ class GivenTets:
     Attributes
     ----------
     points_mm
-        Points in the caller's numbering [mm], shape (n, 3).
+        Points [mm], shape (n, 3), in the caller's numbering.
     mesh
         Tetrahedra [m], repaired if necessary.
     sentences

@@ -45,7 +45,7 @@ their nodes are held fixed instead.
 _OFF = 1e-6
 """Relative volume error accepted after the moves. With a larger error, moves are discarded."""
 _LEAST_KEPT = 0.2
-"""Smallest accepted volume of a tetrahedron after a move / its volume before all moves."""
+"""Smallest accepted ratio of a tetrahedron's volume after a move to that before all moves."""
 
 
 def tetrahedralise(
@@ -143,8 +143,8 @@ def with_volume(mesh: TetMesh, volume_m3: float, *, within_m: float) -> TetMesh:
     Parameters
     ----------
     mesh
-        Mesh of a body. Because its facets are flat, its volume differs slightly from that of the
-        body.
+        Mesh of a body. Because the facets of the mesh are flat, the mesh has a slightly different
+        volume than the body.
     volume_m3
         Required volume of the mesh [m3].
     within_m

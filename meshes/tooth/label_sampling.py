@@ -78,7 +78,7 @@ class PlacedLabels:
     spacing
         Voxel sizes [m], shape (3,).
     first_m
-        Centre of voxel (0, 0, 0) in the file's frame [m], shape (3,).
+        Centre [m], shape (3,), of voxel (0, 0, 0) in the file's frame.
     origin, rotation
         Origin of the site relative to `first_m` [m], and axes of the site as columns in the file's
         frame.
@@ -156,8 +156,8 @@ def resampled(
     Fractions and layers are computed from sub-samples. The distance between neighbouring
     sub-samples is at most the voxel size of the image, unless a voxel would need more than
     `most_samples` sub-samples along an axis. The bone fraction is the share of the sub-samples that
-    lie in any layer. The layer of a voxel is the most frequent layer of its sub-samples. If several
-    layers are equally frequent, the first of them in `PRIORITY` is used.
+    lie in any layer. The layer of a voxel is the most frequent layer of the voxel's sub-samples. If
+    several layers are equally frequent, the layer that comes first in `PRIORITY` is used.
 
     Raises
     ------

@@ -44,8 +44,8 @@ LAYER_DENSITY_KG_M3 = {
 }
 """Density of each layer [kg/m3].
 
-The density of `caries` is used if the softness of a lesion is unknown. It belongs to a softness of
-one half.
+The density of `caries` is used if the softness of a lesion is unknown. This density belongs to a
+softness of one half.
 """
 
 EMPTY = 255
@@ -193,7 +193,8 @@ def tooth_axes(enamel_m: Array, body_m: Array) -> ToothAxes:
     Parameters
     ----------
     enamel_m, body_m
-        Points of the enamel, and points of dentin, pulp and ligament [m], shapes (n, 3) and (m, 3).
+        Points [m] of the enamel, shape (n, 3), and points [m] of dentin, pulp and ligament, shape
+        (m, 3).
 
     Raises
     ------

@@ -62,13 +62,13 @@ class Crown:
     Attributes
     ----------
     half_width, half_length
-        Half the mesiodistal and buccolingual size at the widest section [m].
+        Half the mesiodistal and buccolingual size [m] at the widest section.
     height
-        Height from the cervical line on the buccal side to the highest cusp tip [m].
+        Height [m] from the cervical line on the buccal side to the highest cusp tip.
     cusp_height
-        Height from the central fossa to the highest cusp tip [m].
+        Height [m] from the central fossa to the highest cusp tip.
     enamel
-        Thickness of the enamel above the highest cusp [m].
+        Thickness [m] of the enamel above the highest cusp.
     """
 
     half_width: float
@@ -79,22 +79,22 @@ class Crown:
 
     @property
     def cervix(self) -> float:
-        """Height z of the cervical line on the buccal side [m]."""
+        """Height z [m] of the cervical line on the buccal side."""
         return self.cusp_height - self.height
 
     @property
     def fossa_enamel(self) -> float:
-        """Thickness of the enamel in the central fossa [m]."""
+        """Thickness [m] of the enamel in the central fossa."""
         return _FOSSA_ENAMEL * self.enamel
 
     @property
     def cusp_tips(self) -> Floats:
-        """Tips of the five cusps [m], shape (5, 3)."""
+        """Tips [m], shape (5, 3), of the five cusps."""
         scale = np.array([self.half_width, self.half_length, self.cusp_height])
         return np.array(_CUSPS[:_TRUE_CUSPS]) * scale
 
     def occlusal_height(self, x: Floats, y: Floats) -> Floats:
-        """Compute the height z of the chewing surface [m].
+        """Compute the height z [m] of the chewing surface.
 
         Each cusp is a cone with a round tip that extends down to the fossa.
         """
@@ -121,7 +121,7 @@ class Crown:
         return level
 
     def cervical_line(self, x: Floats) -> Floats:
-        """Compute the height z of the cervical line [m].
+        """Compute the height z [m] of the cervical line.
 
         The cervical line is higher on the mesial and distal sides.
         """
@@ -295,7 +295,7 @@ def outer_shape(crown: Crown, roots: tuple[Root, Root]) -> Shape:
 
 
 def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
-    """Build the signed distance of the pulp [m].
+    """Build the pulp as a signed distance function [m].
 
     The pulp has a chamber with a horn under each cusp, two canals in the mesial root and one canal
     in the distal root.
@@ -303,7 +303,7 @@ def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
     Parameters
     ----------
     roof
-        Depth of the chamber's roof below the fossa [m].
+        Depth [m] of the chamber's roof below the fossa.
     """
     # The height of the chamber is from the table. The other sizes and positions [m] are chosen by
     # eye, inside the dentin.

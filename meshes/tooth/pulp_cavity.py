@@ -46,7 +46,7 @@ _ENAMEL_PERCENT = 2.0
 
 @dataclass(frozen=True, eq=False)
 class PulpCavity:
-    """Void in the dentin of a whole tooth that may be its pulp.
+    """Void in the dentin of a whole tooth that is assumed to be the tooth's pulp.
 
     A void is the pulp cavity if it has a plausible volume, lies in dentin, and is closed except for
     apical foramina. Closed means that a ball with a diameter of more than 0.8 mm cannot enter the

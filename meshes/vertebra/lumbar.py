@@ -72,12 +72,12 @@ class _HalfSizes:
 
     @property
     def canal_y(self) -> float:
-        """Distance by which the canal's centre lies behind the centre of the body [m]."""
+        """Distance [m] by which the canal's centre lies behind the centre of the vertebral body."""
         return self.depth + self.canal_depth
 
     @property
     def isthmus(self) -> Array:
-        """Middle of the narrowest part of the left pedicle [m].
+        """Middle [m] of the narrowest part of the left pedicle.
 
         The point lies lateral to the spinal canal, in the middle between the pedicle's two
         cortices.

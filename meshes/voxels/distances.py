@@ -131,7 +131,7 @@ def carried_beyond(
 
 
 def surface_of_fractions(fraction: Bytes) -> Bytes:
-    """Compute the stored surface distance of voxels from their filled fractions.
+    """Compute the stored surface distance of voxels from the voxels' filled fractions.
 
     The result is uint8, shape (nx, ny, nz).
 

@@ -285,7 +285,7 @@ class TriangleSampler:
     Attributes
     ----------
     vertices_m
-        Vertices in the frame of the grid [m], shape (n, 3).
+        Vertices [m], shape (n, 3), in the frame of the grid.
     faces
         Triangles with outward normals, shape (m, 3).
     threshold_m
@@ -300,7 +300,7 @@ class TriangleSampler:
 
     @cached_property
     def _along_x(self) -> tuple[Array, Array]:
-        """Lowest and highest x of each triangle [m], shape (m,).
+        """Lowest and highest x [m], shape (m,), of each triangle.
 
         These values select the triangles near a grid, because grids are slabs along x.
         """
@@ -448,7 +448,7 @@ def surface_distance(vertices: Array, faces: Ints) -> Callable[[Floats], Array]:
 
 
 def nearest_on_triangles(vertices: Array, faces: Ints, points: Array) -> Array:
-    """Return the surface point [m], shape (n, 3), that is nearest to each point [m]."""
+    """Return the nearest surface point [m], shape (n, 3), to each point [m]."""
     import pyvista
 
     if len(points) == 0:

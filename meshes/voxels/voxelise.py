@@ -40,7 +40,8 @@ from meshes.voxels.volume import FULL, VoxelVolume
 _BLOCKS_AT_ONCE = 256
 """Number of blocks evaluated at once.
 
-The coordinates of their 131,072 voxels take 1.5 MB, which fits in the processor's cache.
+The coordinates of the 131,072 voxels in these blocks take 1.5 MB, which fits in the processor's
+cache.
 """
 _WIDEST_INTERPOLATION_M = 1.0e-3
 """Largest edge [m] of a block in which the density is interpolated.
@@ -102,7 +103,7 @@ def voxel_fraction(
     centres
         Voxel centres [m], shape (n, 3).
     distance
-        Signed distance of the shape at the centres [m], shape (n,).
+        Signed distance [m], shape (n,), of the centres from the shape's surface.
     spacing_m
         Edge of a voxel [m].
 
@@ -189,12 +190,15 @@ def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
 
 
 def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, Bytes, Floats]:
-    """Find the blocks whose corners, and neighbours' corners, all have the same layer.
+    """Find the blocks that lie, with their neighbours, in one layer.
+
+    A block is flagged if all corners of the block and of the neighbouring blocks have the same
+    layer.
 
     Returns
     -------
-    Flags and layers of the blocks, shape (bx, by, bz); densities at the corners of the blocks
-    [kg/m3], shape (bx + 1, by + 1, bz + 1).
+    Flags and layers of the blocks, shape (bx, by, bz); densities [kg/m3] at the corners of the
+    blocks, shape (bx + 1, by + 1, bz + 1).
     """
     axes = [
         np.arange(f - BLOCK, e + BLOCK + 1, BLOCK)
@@ -270,7 +274,7 @@ def voxelise(
     minus: Shape | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> VoxelVolume:
-    """Convert an anatomy to voxels, in its site frame.
+    """Convert an anatomy to voxels in the site frame.
 
     Grid lines lie at integer multiples of the spacing, so the content of a voxel does not depend on
     the region. If the surface crosses a voxel, the bone fraction is the part of the voxel behind
