@@ -204,7 +204,7 @@ def join_touching(
 
 @wp.func
 def start_over(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose):
-    """Rebuild the working triangles and the nodal forces from the forces at the contact points.
+    """Rebuild the list of working triangles, and the nodal forces, from the contact forces.
 
     A triangle is working if one of its contact points carries force. Return the number of contact
     points whose compliance is not available yet.

@@ -72,7 +72,7 @@ class CoreThreads(ThreadPoolExecutor):
         self._place(number)
 
     def keep_off(self, core: int | None) -> None:
-        """Prevent these threads from running on ``core``, if another core is allowed."""
+        """Prevent the pool's threads from running on ``core``, if another core is allowed."""
         if core != self._avoided:
             self._avoided = core
             for number in self._numbers:

@@ -107,7 +107,7 @@ def gather_again(body: Body, patch: Patch):
 
 @wp.func
 def swap(patch: Patch, p: int, q: int):
-    """Exchange the nodes of slots ``p`` and ``q``.
+    """Exchange the nodes of the slots ``p`` and ``q`` in the copied compliance.
 
     In each row, the entries of the two slots are exchanged. The rows of the two nodes themselves
     are not exchanged.
@@ -171,7 +171,7 @@ def keep_loaded(body: Body, patch: Patch, node: int, tick: int):
 
 @wp.func
 def drop_idle(patch: Patch, tick: int):
-    """Free the rows of nodes that are not loaded in this tick."""
+    """Free the compliance rows of nodes that are not loaded in this tick."""
     slot = patch.count[LOADED] - 1
     while slot >= 0:
         if patch.loaded_mark[patch.node[slot]] != tick:

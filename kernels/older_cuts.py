@@ -3,7 +3,7 @@
 Older cuts are all cuts except the most recent ones. The error of the length is of second order in
 the voxel size.
 
-The distance of every voxel centre to older cuts is stored (see :mod:`kernels.carving`). The
+For every voxel centre, the distance from older cuts is stored (see :mod:`kernels.carving`). The
 difference between this distance and the distance to the present tool is interpolated between voxel
 centres. Where the surfaces of the older cut and of the tool coincide, the difference is 0 for any
 curvature. Where the older cut lies deeper, the difference is negative. Along the path of the tool,

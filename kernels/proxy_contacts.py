@@ -23,7 +23,8 @@ FAR = wp.constant(wp.float64(1.0e30))  # no distance yet [m]
 AHEAD = wp.constant(wp.float64(4.0))
 """Largest travel, in step lengths, by which a sleeping point may be checked early.
 
-The limit reduces the number of points that are checked on a long path.
+A sleeping point is a shell point far from all obstacles, which is not checked for some time. The
+limit reduces the number of points that are checked on a long path.
 """
 LEAST_SLOPE = wp.constant(wp.float64(0.5))
 """Lower limit of the slope of the level, by which the level at a point is divided.
@@ -37,7 +38,7 @@ SAME_DIRECTION = wp.constant(wp.float64(0.99999999))
 The angle is 1.4e-4 rad, which is larger than rounding errors.
 """
 SLACK = wp.constant(wp.float64(1.0e-3))
-"""Depth of free space, in voxel sizes, that an earlier plane may exclude without being dropped."""
+"""Depth of free space [voxel] that an earlier contact plane may exclude before it is dropped."""
 
 
 @wp.struct
@@ -95,7 +96,7 @@ def forget(
     point: int,
     first: int,
 ):
-    """Drop all planes of a shell point that is no longer near voxels."""
+    """Drop all contact planes of a shell point that is no longer near voxels."""
     if wp.length_sq(plane_normal_out[point, 0]) > ZERO:
         for k in range(VOXEL_PLANES):
             plane_normal_out[point, k] = wp.vec3d()

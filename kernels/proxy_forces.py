@@ -99,7 +99,7 @@ def solve_set(
 
 @wp.func
 def drop_member(contacts: Contacts, members: int, place: int):
-    """Remove a plane from the active set, and return the number of remaining planes."""
+    """Remove a plane from the active set (planes with force), and return the remaining number."""
     c = contacts.member[place]
     contacts.press[contacts.slot[c]] = ZERO
     contacts.chosen[c] = 0
@@ -152,7 +152,7 @@ def shrink_set(
 def moved_by_set(
     contacts: Contacts, members: int, compliance: wp.float64, shift: wp.vec3d, turn: wp.vec3d
 ):
-    """Compute the shift and turn of the tool under the normal forces of the active set."""
+    """Compute the tool's shift and turn under the normal forces of the planes in the active set."""
     moved = shift
     turned = turn
     for m in range(members):

@@ -29,8 +29,8 @@ CELL_COLUMNS = wp.constant(6)
 DOUBLING = wp.constant(2000)
 """Number of evaluated cells after which the tolerance of a long search doubles.
 
-The evaluation of a cell takes up to 0.3 ms, so the tolerance must grow faster than in
-`kernels.structure_distance`.
+A cell is a part of the tool's medial axis. The evaluation of a cell takes up to 0.3 ms, so the
+tolerance must grow faster than in `kernels.structure_distance`.
 """
 FAR_M = wp.constant(wp.float64(1.0e3))
 """Range [m] of the search for the nearest surface point, larger than any structure."""
