@@ -1,4 +1,4 @@
-"""Warp kernels that read and write arrays.
+"""Warp kernels of the simulation, which only read and write arrays.
 
 The kernels do not depend on scenes or meshes. Importing this package starts Warp.
 """
@@ -15,7 +15,7 @@ from kernels.cache_check import remove_damaged
 def _start() -> None:
     """Start Warp, and suppress its start message and its warning about a missing GPU.
 
-    Warp's messages are not needed, because each run reports the device that it uses.
+    Warp's messages are not needed, because each simulation run reports its device.
     """
     wp.config.log_level = wp.LOG_WARNING
     sys.stderr.flush()

@@ -1,8 +1,8 @@
-"""Types of the arrays that kernels and Warp structures have as arguments and members.
+"""Types of the arrays in arguments of kernels and in members of Warp structures.
 
-The name of a type states the type of the array's elements. The suffix of the name states the number
-of dimensions, if the array has more than one. For example, `Doubles2D` is a matrix of numbers in
-double precision.
+The name of an array type states the type of the elements. If the array has more than one dimension,
+a suffix states the number of dimensions. For example, `Doubles2D` is a matrix of numbers in double
+precision.
 """
 
 import warp as wp

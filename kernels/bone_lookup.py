@@ -1,12 +1,13 @@
 """Lookup of the uncut bone at a point, with an error of second order in the voxel size.
 
-Two constant distances are stored for the centre of each voxel: the signed distance to the original
-surface, and the distance to the nearest boundary between layers. These distances are interpolated
-between voxel centres. A point lies in bone if the interpolated surface distance is negative. To
-find the layer of the point, the distance to the boundary is interpolated once per layer, with a
-negative sign in the voxels of other layers. The layer with the largest result is chosen. Far from
-the surface and from every boundary between layers, the layer and density of the nearest voxel are
-used, and the distance is -2 inside and 2 outside. Lengths are in voxels.
+For the centre of each voxel, two distances are stored, which cutting does not change. The first is
+the signed distance to the bone's original surface. The second is the distance to the nearest
+boundary between layers. These distances are interpolated between voxel centres. A point lies in
+bone if the interpolated surface distance is negative. To find the layer of a point, the boundary
+distance is interpolated once for each layer, with a negative sign in voxels that belong to a
+different layer. The layer with the largest interpolated value is chosen. Far from the surface and
+from every layer boundary, the layer and density of the nearest voxel are used. The surface distance
+is then -2 inside and 2 outside. Lengths are in voxels.
 """
 
 import warp as wp
@@ -15,16 +16,16 @@ from kernels.arrays import Int32s3D, Shorts2D, Words2D
 from kernels.bricks import cell_of, corner8f, corner8i, corners_of, density_of, layer_of
 
 SURFACE_STEPS = 63
-"""Number of steps per voxel in the stored surface distance, an integer of 8 bits.
+"""Number of stored steps per voxel of surface distance. A stored distance is an 8-bit integer.
 
 The stored distance is limited to two voxels. The stored value 128 is a distance of zero.
 """
 BEYOND = 128 + 32
 """Smallest surface distance that is assumed for a voxel outside the stored bricks, in stored steps.
 
-A brick is a block of 8 x 8 x 8 voxels. The limit is a distance of half a voxel outside the bone,
-which is the distance next to a grid whose outermost voxels are full. If a neighbouring voxel has a
-distance d, the assumed distance is the larger of the limit and d plus one voxel.
+A brick is a block of 8 x 8 x 8 voxels. The assumed distance is the larger of this limit and d plus
+one voxel, where d is the distance at a neighbouring voxel. The limit is half a voxel. This is the
+true distance next to a grid whose outermost voxels are full.
 """
 CORNERS = wp.constant(8)
 # stored surface distance of 1.78 voxels inside: all corners of a cell lie inside the bone
@@ -55,7 +56,7 @@ def bone_at(
 ):
     """Return surface distance, layer and density of the uncut bone at ``point`` [voxel].
 
-    The point lies in the voxel with index ``column`` in the brick with index ``row``.
+    The point lies in voxel ``column`` of the brick that is stored in ``row``.
     """
     word = material[row, column]
     near = int(nearby[row, column])
@@ -94,8 +95,8 @@ def bone_at(
 def distance_between(stored: corner8i, inside: wp.vec3, nearest: Bone):
     """Interpolate the surface distance and its gradient between the eight voxel centres of a cell.
 
-    The components of ``inside``, the position in the cell, run from 0 to 1. The result is a copy of
-    ``nearest`` with the interpolated values.
+    ``inside`` is the position in the cell, with components from 0 to 1. The result is a copy of
+    ``nearest`` in which distance and gradient are replaced.
     """
     found = nearest
     fx = inside[0]
@@ -125,8 +126,8 @@ def layer_between(stored: corner8i, words: corner8i, inside: wp.vec3, nearest: B
 
     ``stored`` holds the distances of each voxel to the nearest boundary between layers (upper byte)
     and to the surface (lower byte). ``words`` holds the density (upper 16 bits) and the layer
-    (lowest 8 bits) of each voxel, or -1 where no brick is stored. This function extracts layers and
-    densities from the bits itself, because 64 calls of `layer_of` would take too long.
+    (lowest 8 bits) of each voxel, or -1 where no brick is stored. The function does not call
+    `layer_of`, because 64 calls would take too long.
     """
     found = nearest
     far = corner8f()

@@ -2,9 +2,9 @@
 
 A voxel grid is divided into bricks of 8 x 8 x 8 voxels. Only bricks that hold material are stored.
 ``brick_of`` maps a brick's grid position to the brick's row in the stored arrays, or to -1 if the
-brick is not stored. A row consists of 64 consecutive blocks of 2 x 2 x 2 voxels. Voxels that are
-close together are therefore also close together in memory. Lengths are in voxels: a point at ``x``
-metres lies at ``(x - origin) / spacing``.
+brick is not stored. A row consists of 64 consecutive blocks of 2 x 2 x 2 voxels. Neighbouring
+voxels are therefore close together in memory. Lengths are in voxels: a point at ``x`` metres has
+the coordinate ``(x - origin) / spacing``.
 
 The original material of a voxel is stored in one word. The upper 16 bits hold the density [kg/m3],
 and the lowest 8 bits hold the index of the layer.
@@ -25,7 +25,7 @@ corner8f = wp.types.vector(length=8, dtype=wp.float32)
 FULL = 65535
 """Stored value of a voxel that is wholly filled."""
 LOST, REACHED = 1, 2
-"""Flags of a brick: LOST if it has lost material, REACHED if a tool may have changed it."""
+"""Flags of a brick: LOST if material was removed, REACHED if a tool may have changed the brick."""
 
 
 @wp.func
@@ -47,7 +47,7 @@ def voxel_row(brick_of: Int32s3D, ix: int, iy: int, iz: int):
 
 @wp.func
 def voxel_column(ix: int, iy: int, iz: int):
-    """Return the index of voxel (ix, iy, iz) in the row that stores its brick."""
+    """Return the position of voxel (ix, iy, iz) in the row that stores the voxel's brick."""
     # A coordinate in a brick has three bits. The upper two bits number the block, and the lowest
     # bit is the position in the block.
     block = ((ix & 6) << 3) | ((iy & 6) << 1) | ((iz & 6) >> 1)
@@ -56,13 +56,13 @@ def voxel_column(ix: int, iy: int, iz: int):
 
 @wp.func
 def layer_of(word: wp.uint32):
-    """Return the index of the layer from the material word of a voxel (see the module)."""
+    """Return the layer index, the lowest 8 bits of a voxel's material word."""
     return int(word & wp.uint32(255))
 
 
 @wp.func
 def density_of(word: wp.uint32):
-    """Return the density [kg/m3] from the material word of a voxel (see the module)."""
+    """Return the density [kg/m3], the upper 16 bits of a voxel's material word."""
     return int(word >> wp.uint32(16))
 
 
@@ -111,7 +111,7 @@ class Corners:
     """Storage locations of the eight voxels whose centres are the corners of a cell.
 
     Corners are numbered from 0 to 7. Bit 2 of the number is 0 at the lower and 1 at the upper
-    corners along x. Bits 1 and 0 have this meaning for y and z.
+    corners along x. Bit 1 has the same meaning for y, and bit 0 for z.
     """
 
     row: corner8i  # row of the corner's brick, -1 if no brick is stored
@@ -178,7 +178,7 @@ def trilinear(
 
 @wp.struct
 class Plane:
-    """Normal of a plane, stored as the constants that `cube_behind_plane` uses."""
+    """Constants that `cube_behind_plane` uses, computed from the normal of a plane."""
 
     m1: wp.float32  # |components| of the normal, ascending, scaled to a sum of 1
     m2: wp.float32
@@ -210,7 +210,8 @@ def plane_of(normal: wp.vec3):
 def cube_behind_plane(plane: Plane, distance: float):
     """Compute the volume of the part of the unit cube behind a plane.
 
-    The plane lies ``distance`` behind the cube's centre, that is, opposite to the plane's normal.
+    The plane lies at a distance of ``distance`` behind the cube's centre, that is, opposite to the
+    plane's normal.
 
     The analytic relation is from Scardovelli and Zaleski (2000), J. Comput. Phys. 164:228.
     """

@@ -1,9 +1,8 @@
 """Check of Warp's on-disk cache of compiled kernels.
 
-An entry of the cache is a folder with the files of one compiled module. Warp loads these files
-without a check. A full disk or a crash can damage an entry, and every later process would then
-fail. Entries are verified when `kernels` is imported. A damaged entry is removed, and Warp compiles
-it again.
+A cache entry is a folder with the files of one compiled module. Warp loads the files without a
+check. A full disk or a crash can damage an entry, and every later process would then fail. Entries
+are verified when `kernels` is imported. A damaged entry is removed, and Warp compiles it again.
 """
 
 import json
@@ -17,14 +16,14 @@ from pathlib import Path
 from uuid import uuid4
 
 MANIFEST = "checksums.json"
-"""Name of the file that holds the checksums of the other files of a cache entry.
+"""Name of the file with the checksums of all files that are loaded from a cache entry.
 
 Each checksum is computed when `remove_damaged` finds the file for the first time.
 """
 CHECKED = (".o", ".meta", ".ptx", ".cubin")
-"""Suffixes of the files that Warp loads. The source files in an entry are not loaded."""
+"""Suffixes of the files that Warp loads, and that are therefore checked."""
 BUILDING = re.compile(r"_p\d+_t\d+$")
-"""End of the name of a folder in which a compilation is in progress.
+"""Regular expression for the end of a folder's name while Warp compiles into the folder.
 
 Warp renames the folder when the compilation is complete.
 """
@@ -72,7 +71,7 @@ def _is_whole(entry: Path) -> bool:
 
 
 def _is_complete(ending: str, content: bytes) -> bool:
-    """Return whether ``content`` is a complete file of the type that its ``ending`` names."""
+    """Return whether ``content`` is a complete file of the type with the suffix ``ending``."""
     if not content:
         return False
     if ending == ".meta":

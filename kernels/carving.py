@@ -1,10 +1,10 @@
-"""Removal of voxels that a moving tool sweeps; the tool is a surface of revolution.
+"""Removal of the material in voxels that a moving tool, a surface of revolution, sweeps.
 
-For the centre of each voxel, the smallest distance from the tool so far is stored. The remaining
-volume of a voxel is ``min(remaining, 1 - covered)``, where ``covered`` is the part of the voxel
-inside the tool. The minimum does not depend on the order of the cuts, so overlapping cuts leave the
-same bone in any order. The minimum is exact where the surfaces of an old and a new cut are
-parallel. Where these surfaces cross at a right angle, the remaining volume is on average a twelfth
+For the centre of each voxel, the smallest distance from the tool so far is stored. A cut reduces
+the remaining volume of a voxel to ``min(remaining, 1 - covered)``, where ``covered`` is the part of
+the voxel inside the tool. Overlapping cuts leave the same bone in any order, because a minimum does
+not depend on the order. The remaining volume is exact where the surfaces of an old and a new cut
+are parallel. If these surfaces cross at a right angle, the remaining volume is on average a twelfth
 of a voxel too large. All lengths are in voxels.
 
 The smallest distance of each voxel to older cuts is also stored. Older cuts are all cuts except the
@@ -14,13 +14,12 @@ mm of travel. In front of a moving tool, older cuts are updated only after a cha
 The surface of older cuts therefore never touches the front of a moving tool. The most recent cuts
 are computed from the tool's last poses, see `kernels.recent_cuts`.
 
-Each brick (block of 8 x 8 x 8 voxels) belongs to one of ``PHASES`` groups. A kernel launch visits
-only some of the groups, so that the carving of a slow tool is spread over several ticks. The tool
-pose at the last visit is stored for every group. Inside a brick, blocks of 2 x 2 x 2 voxels are
-skipped if they are empty or out of reach of the tool's surface. Each worker (thread) processes
-whole columns of bricks, and adds the removed volume to a row of an array that no other worker
-writes. There are no atomic operations, and the results are the same integers on any number of
-threads.
+Each brick (block of 8 x 8 x 8 voxels) belongs to one of ``PHASES`` groups. A kernel launch carves
+only some of the groups, so that the work for a slow tool is spread over several ticks (1 ms steps).
+For every group, the tool pose at the group's last visit is stored. Blocks of 2 x 2 x 2 voxels in a
+brick are skipped if they are empty or out of reach of the tool's surface. Each worker (thread)
+processes whole columns of bricks. It adds the removed volume to its own row of an array. Atomic
+operations are not needed, and the results are the same integers on any number of threads.
 """
 
 import warp as wp
@@ -82,9 +81,10 @@ def carve(
     touched_out: Bytes,  # [brick], flags LOST and REACHED are added
     removed_out: Int64s2D,  # [worker, layer], stored steps removed in this launch
 ):
-    """Carve the groups of bricks that ``plan`` selects.
+    """Carve the groups of voxel bricks that ``plan`` selects.
 
-    Each worker takes every ``worker_count``-th column of bricks under the tool.
+    Each of ``worker_count`` workers (threads) takes every ``worker_count``-th column of bricks
+    under the tool.
     """
     worker = wp.tid() + worker_offset
     for m in range(removed_out.shape[1]):
@@ -262,7 +262,7 @@ def book(
     middle_out: Shorts2D,
     older_out: Shorts2D,
 ):
-    """Mark cuts in a block of 2 x 2 x 2 voxels as older cuts (see the module).
+    """Mark cuts in a block of 2 x 2 x 2 voxels as older cuts (all except the most recent cuts).
 
     If ``enters_reach`` is 1, all cuts so far are marked. Otherwise, if ``grows_old`` is 1, only the
     cuts before the previous call for this block are marked.
@@ -312,12 +312,12 @@ def booked_by(removed: Int64s2D, worker: int):
 
 @wp.func
 def flattened(near: Nearest, offset: wp.vec3, axis: wp.vec3, step: wp.vec3):
-    """Compute the `bend` of the tool minus the `bend` of the surface of the swept volume.
+    """Compute the bend of the tool's surface minus the bend of the swept volume's surface.
 
-    The bend is a sixth of the sum of the principal curvatures (see `Nearest`). The swept surface is
-    straight along the path of the tool. It touches the tool where the tool's normal is
-    perpendicular to the path. Within one voxel of such a place, the difference is a sixth of the
-    tool's curvature along ``step``. Elsewhere, the difference is 0.
+    The bend is a sixth of the sum of the principal curvatures (see `Nearest`). The surface of the
+    swept volume is straight along the path of the tool. This surface touches the tool where the
+    tool's normal is perpendicular to the path. Within one voxel of such a place, the difference is
+    a sixth of the tool's curvature along ``step``. Elsewhere, the difference is 0.
     """
     length = wp.length(step)
     if length == 0.0 or near.bend >= EDGE:
@@ -352,7 +352,7 @@ def carve_block(
     swept_out: Shorts2D,
     removed_out: Int64s2D,
 ):
-    """Carve the eight voxels of a block, whose first voxel has the index ``first`` in its brick.
+    """Carve a block of eight voxels. ``first`` is the index of its first voxel in the brick.
 
     ``near`` is the point of the tool's surface nearest to the middle of the block.
     """
@@ -397,7 +397,7 @@ def corner_offset(corner: int):
 def distance_at(near: Nearest, offset: wp.vec3):
     """Compute the distance [voxel] to the tool at an offset from the middle of a block.
 
-    The tool is approximated by a sphere that touches it at the point ``near``.
+    The tool is approximated by a sphere that touches the tool's surface at the point ``near``.
     """
     along = wp.dot(near.slope, offset)
     # The sphere's curvature is half of 6 bend. The distance grows by half of this curvature times
@@ -407,7 +407,7 @@ def distance_at(near: Nearest, offset: wp.vec3):
 
 @wp.func
 def swept_steps(distance: float):
-    """Encode the distance [voxel] of a voxel centre from the swept volume as a stored integer."""
+    """Convert the distance [voxel] of a voxel centre from the swept volume to a stored integer."""
     # 4096 steps per voxel, with 32768 for zero, up to 8 voxels. 65535 is reserved for voxels that
     # the tool has never been near.
     return wp.clamp(int(32768.5 + 4096.0 * distance), 0, 65534)

@@ -1,25 +1,25 @@
-"""Matrix-free product of the stiffness of a voxel grid and a vector, for eight cells at once.
+"""Matrix-free product of a voxel grid's stiffness and a vector, for eight cells at once.
 
-Each cell consists of eight cubes. Each cube has its own product of Lame constants and volume. The
-gradient of the displacement is evaluated at the centre of each cube, at 1/4 or 3/4 of the cell's
-edges. The "modes" X, Y, Z, XY, XZ, YZ and XYZ of a displacement component u_c are sums and
-differences of its corner values along the three axes. With the edge length h of the cell, the
+Each cell consists of eight cubes. Each cube has its own Lame constants and volume. The gradient of
+the displacement is evaluated at the centre of each cube, at 1/4 or 3/4 of the cell's edges. The
+"modes" X, Y, Z, XY, XZ, YZ and XYZ of a displacement component u_c are sums and differences of the
+component's values at the corners, along the three axes. With the edge length h of the cell, the
 gradient in the cube on the sides r, s and t (-1 or 1) along x, y and z is::
 
     4 h d_x u_c = X + s XY/2 + t XZ/2 + s t XYZ/4     and so on,
 
-The computation takes 8 additions for all four pairs (s, t). The forces follow from the transposed
-additions. Some modes have a gradient that varies inside a cube, so one point per cube does not
-resolve them fully. Stiffness against these unresolved modes is added, as in
+For all four pairs (s, t), the computation takes 8 additions. The forces are computed by the
+transposed additions. The gradient of some modes varies inside a cube, so one evaluation point per
+cube does not resolve these modes fully. A stiffness against such unresolved modes is added, as in
 :mod:`kernels.particle_stiffness`. The product needs 17 stored numbers and about 500 operations per
 cell. A packed cell stiffness would need 324 numbers. The product is therefore limited by arithmetic
 and not by memory bandwidth.
 
 A strip consists of eight cells in a row along z, and a pencil consists of several strips. Vectors
-have the layout of `LaneVector`. A strip has four edges along z. Along each of these edges, the
-values at the lower nodes of the eight cells are consecutive in memory. The values at the upper
-nodes of the cells are also consecutive. Each thread processes one pencil. Pencils of one colour do
-not share nodes. The result has the same bits on any number of threads.
+have the layout of `LaneVector`. A strip has four edges along z. Along each edge, the values at the
+lower nodes of the eight cells are consecutive in memory, and so are the values at the upper nodes.
+Each thread processes one pencil. Pencils of one colour do not share nodes. The result has the same
+bits on any number of threads.
 """
 
 from functools import cache
@@ -34,9 +34,9 @@ LANES = 8
 WEIGHTS = 17
 """Number of values stored per cell.
 
-The values are lambda and mu of the cell's eight cubes, times V / (16 h^2), and the modulus of the
-unresolved modes, times h / 12. V is the remaining volume of a cube, and h is the edge length of the
-cell.
+For each of the cell's eight cubes, the Lame constants lambda and mu are stored, multiplied by V /
+(16 h^2). The last value is the modulus of the unresolved modes, multiplied by h / 12. V is the
+remaining volume of a cube, and h is the edge length of the cell.
 """
 OPTIONS = {
     "enable_backward": False,
@@ -45,7 +45,7 @@ OPTIONS = {
     "-mllvm=-inline-cold-callsite-threshold=3000"
     " -mllvm=-slp-recursion-max-depth=12",
 }
-"""Module options of Warp; the compiler flags are Warp's default flags except the recursion depth.
+"""Module options of Warp. The compiler flags are Warp's defaults except the recursion depth.
 
 With Warp's default depth of 4, the kernel takes 2.5 times as long. The flag ``native`` is safe even
 if several machines share a cache, because the name of every compiled file contains the instruction
@@ -92,7 +92,7 @@ def modes_of(a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: 
 
 @wp.func
 def corners_of(x: Any, y: Any, z: Any, xy: Any, xz: Any, yz: Any, xyz: Any):
-    """Compute forces at the corners of a cell from forces on modes: the transpose of `modes_of`."""
+    """Compute the forces at a cell's corners from forces on modes: transpose of `modes_of`."""
     dd0 = yz - xyz
     dd1 = yz + xyz
     ds0 = z - xz
@@ -114,9 +114,9 @@ def corners_of(x: Any, y: Any, z: Any, xy: Any, xz: Any, yz: Any, xyz: Any):
 def to_cubes(linear: Any, first: Any, second: Any, both: Any):
     """Compute the derivative of a displacement component along one axis, in each of four cubes.
 
-    Along the two other axes, the cubes are at (-, -), (-, +), (+, -) and (+, +). The arguments are
-    modes of the displacement: the linear mode of the axis, the two bilinear modes that contain the
-    axis, and the trilinear mode.
+    The cubes lie on the sides (-, -), (-, +), (+, -) and (+, +) of the cell along the two other
+    axes. The arguments are modes of the displacement component: the linear mode along the axis, the
+    two bilinear modes that contain the axis, and the trilinear mode.
     """
     low = linear - first
     high = linear + first

@@ -1,15 +1,15 @@
 """Explicit time step of heat conduction on a rectilinear grid of partly filled cells.
 
-The method is finite volumes. Two neighbouring cells have the filled fractions f and g. The part a
-of the area of their common face conducts heat::
+The method is finite volumes. Two neighbouring cells have the filled fractions f and g. Heat is
+conducted through the fraction a of the area of their common face::
 
     C f dT/dt = sum over faces of G a (T_neighbour - T) + P,    a = min(max(f, g), 2 min(f, g))
 
 T is the temperature, C the heat capacity of a full cell, G the conductance between two full cells,
-and P the heating power in the cell. The part a is 1 between a full cell and a cell that is half
-full, because a cut parallel to the face leaves the whole face open. The part a tends to zero with
-the smaller filled fraction, so that an almost empty cell does not shorten the stable time step. An
-empty cell does not store or conduct heat, so the surface of the remaining body is insulated.
+and P the heating power in the cell. The fraction a is 1 between a full and a half-full cell,
+because a cut parallel to the face leaves the whole face open. As the smaller filled fraction tends
+to zero, a also tends to zero. An almost empty cell therefore does not shorten the stable time step.
+An empty cell does not store or conduct heat, so the surface of the remaining body is insulated.
 """
 
 import warp as wp
@@ -19,15 +19,15 @@ from kernels.arrays import Singles3D
 wp.set_module_options({"enable_backward": False})
 
 OPEN = wp.constant(2.0)
-"""Largest ratio between the conducting part of a face and the smaller filled fraction at the face.
+"""Largest ratio of a face's conducting fraction to the smaller filled fraction of its two cells.
 
-The stable time step is shorter by this factor than with a ratio of 1.
+Compared with a ratio of 1, the stable time step is shorter by this factor.
 """
 
 
 @wp.func
 def open_share(filled: float, other: float):
-    """Compute the conducting part of the face between two cells from their filled fractions."""
+    """Compute the conducting fraction of the face between two cells from their filled fractions."""
     return wp.min(wp.max(filled, other), OPEN * wp.min(filled, other))
 
 

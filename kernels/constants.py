@@ -1,4 +1,4 @@
-"""Constants in double precision, because Warp does not convert Python's number literals.
+"""Constants in double precision for kernels. Warp does not convert Python's number literals.
 
 A variable that changes in a loop must be initialised with ``wp.float64(...)`` instead of a
 constant. Warp does not allow a loop to change a constant.

@@ -1,7 +1,7 @@
 """Search for the triangles that take part in a contact.
 
-These are the triangles near the tool, the triangles whose contact points carry force, and the
-triangles that the tool penetrates.
+The search finds the triangles near the tool, the triangles whose contact points carry force, and
+the triangles that the tool penetrates.
 """
 
 import warp as wp
@@ -41,10 +41,10 @@ from kernels.near_compliance import (
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 SLACK = wp.constant(wp.float64(1.25))
-"""Distance from a triangle's middle within which contact is searched, in triangle radii.
+"""Search distance around the middle of a triangle, in triangle radii.
 
-The radius of a triangle is the distance from its middle to its farthest corner. A value of 1 covers
-the whole triangle, and the excess is a margin.
+The radius of a triangle is the distance from its middle to its farthest corner. A search distance
+of 1 covers the whole triangle, and the rest is a margin.
 """
 
 
@@ -65,11 +65,11 @@ def find_near(
     lists_out: Lists,
     patch_out: Patch,
 ):
-    """Find the nearby and the working triangles, their nodes, and the displacements of these nodes.
+    """Find the nearby and the working triangles, their nodes, and the nodes' displacements.
 
-    A triangle is nearby if the ball around its rest position is closer to the tool than ``reach``
-    plus the largest displacement of the last tick. A triangle is working if the contact forces at
-    its points are unknowns of the solver.
+    A triangle is nearby if the ball around the undeformed triangle is closer to the tool than a
+    limit. The limit is ``reach`` plus the largest displacement in the last tick (1 ms step). A
+    triangle is working if the solver treats the contact forces at its points as unknowns.
     """
     pose = pose_of(pose_rows)
     margin = reach + results[LARGEST]
@@ -107,8 +107,8 @@ def find_near(
 def begin_work(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose, triangle: int):
     """Add a triangle to the working triangles, that is, to the triangles that the solver visits.
 
-    The nodes of the triangle may then carry load. For each of its contact points, the compliance
-    and the anchor of friction are stored. The anchor is the point's last position, moved along with
+    The triangle's nodes may then carry load. For each contact point of the triangle, the compliance
+    and the friction anchor are stored. The anchor is the point's last position, moved along with
     the tool. Return the number of contact points whose compliance is not available yet.
     """
     missing = int(0)
@@ -158,10 +158,10 @@ def join_touching(
 ):
     """Add nearby triangles that the tool penetrates to the working triangles.
 
-    Return the number of added triangles, and ``missing`` plus the number of their contact points
-    whose compliance is not available yet.
+    Return the number of added triangles, and an updated count of contact points without available
+    compliance. The count starts at ``missing``, and points of the added triangles are counted.
 
-    A contact counts only if the tool is on the side of the triangle's outward normal.
+    Penetration counts only if the tool is on the side of the triangle's outward normal.
     """
     joined = int(0)
     lost = int(missing)
@@ -204,7 +204,7 @@ def join_touching(
 
 @wp.func
 def start_over(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose):
-    """Rebuild the working triangles and the nodal forces from the forces at the contact points.
+    """Rebuild the list of working triangles, and the nodal forces, from the contact forces.
 
     A triangle is working if one of its contact points carries force. Return the number of contact
     points whose compliance is not available yet.

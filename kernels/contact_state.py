@@ -1,27 +1,29 @@
 """State and functions shared by the contact kernels.
 
-The state consists of a body's surface, its contact points, and lists of triangles. The results are
-stored in one array, and this module defines their indices. The functions compute the distance to a
-tool and the contact force at one point with Coulomb friction.
+The state consists of a body's surface, the contact points on the surface, and lists of triangles.
+The results of a tick are stored in one array, whose indices this module defines. The functions
+compute the distance of a point from a tool, and the contact force at one point with Coulomb
+friction.
 
-Distance to the tool: signed distance and its gradient.
+Distance: the functions return the signed distance of a point from the tool, and the gradient of
+this distance.
 
 The tip of a tool is its lowest point, and the tool's z axis runs from the tip to the shank. The
 surface of a sphere passes through the tip. A cylinder has a flat lower face through the tip, a
-rounded edge, and no upper end. A shell consists of points on the tool's surface. Each point has a
-plane that represents the surface near this point.
+rounded edge, and no upper end. A shell consists of points on the tool's surface. Each shell point
+has a plane that represents the tool's surface near the point.
 
-Force of one point: contact force at a point of a compliant body by the laws of Signorini and
-Coulomb. The force keeps the point out of the tool.
+Force: the contact force at a point of a compliant body follows the laws of Signorini and Coulomb.
+It keeps the point out of the tool.
 
 W is the body's compliance at the point, n the tool's normal and f the force on the body. The gap is
 the distance between point and tool. The gap is not negative, the normal force does not pull, and
 the gap or the normal force is zero. The tangential force is at most ``mu`` times the normal force.
-If the tangential force is equal to this bound, it acts against the slip s. A sticking point leads
-to a linear system. A slipping point satisfies ``s = -l f_t`` with ``l >= 0``. Elimination of the
-normal force gives ``(S + l I) f_t = -r``. S is the tangential Schur complement of W, and r is the
-slip under the normal force alone. Newton's method inside a bracket finds the l with
-``|f_t| = mu f_n``. The method is applied to the reciprocals of the forces, because these
+If the tangential force f_t reaches this bound, the point slips, and f_t acts against the slip s. A
+sticking point leads to a linear system. A slipping point satisfies ``s = -l f_t`` with ``l >= 0``.
+Elimination of the normal force gives ``(S + l I) f_t = -r``. S is the tangential Schur complement
+of W, and r is the slip under the normal force alone. Newton's method inside a bracket finds the l
+with ``|f_t| = mu f_n``. The method is applied to the reciprocals of the forces, because these
 reciprocals are nearly linear in l (More and Sorensen 1983). The solver computes this force for one
 contact point after another, in sweeps (Jourdan, Alart and Jean 1998, Comput. Methods Appl. Mech.
 Eng. 155:31).
@@ -42,7 +44,7 @@ SHELL = 2
 
 @wp.struct
 class Pose:
-    """Pose of a tool in this tick and in the previous tick."""
+    """Pose of a tool in the present tick (1 ms step) and in the previous tick."""
 
     tip: wp.vec3d  # [m]
     turn: wp.mat33d  # tool to world
@@ -99,19 +101,19 @@ FORCE, TORQUE, STATE, SWEEPS, CONTACTS, AREA, DEEPEST, LARGEST, RESULTS = (
     11,
     12,
 )
-"""Indices into the array of results, and number of its entries (`RESULTS`).
+"""Indices into the array of results, and number of entries of this array (`RESULTS`).
 
-Force on the tool [N] and torque on the tool [N m] have three entries each. The other entries are:
-end state, number of sweeps, number of contact points with force, contact area [m2], largest
-penetration [m], and largest displacement [m].
+The force on the tool [N] and the torque on the tool [N m] have three entries each. The next entries
+are: end state of the solver, number of sweeps, number of contact points with force, contact area
+[m2], largest penetration [m], and largest displacement [m].
 """
 DONE, RUN_OUT, IMMOVABLE, MISSING = 0, 1, 2, 3
-"""End states: converged, sweeps used up, rigid place penetrated, compliance missing."""
+"""End states of the solver: converged, too many sweeps, rigid point penetrated, no compliance."""
 
 
 @wp.struct
 class Body:
-    """Triangulated surface of a body, its compliance, and the forces and positions of its nodes."""
+    """Triangulated surface of a body, with compliance, nodal forces and nodal positions."""
 
     free: Vectors  # [node], positions without contact [m]
     last_free: Vectors  # [node], positions without contact in the last tick [m]
@@ -142,7 +144,7 @@ class Points:
 
 
 NEARBY, WORKING, TICK = 0, 1, 2
-"""Indices into `Lists.count`: number of nearby triangles, of working triangles, and of ticks."""
+"""Indices into `Lists.count`: numbers of nearby triangles, working triangles and ticks."""
 
 
 @wp.struct
@@ -157,7 +159,7 @@ class Lists:
 
 @wp.func
 def pose_of(pose: Doubles2D):
-    """Convert 8 rows to a pose: tip, 3 rows of rotation, and the same for the last tick."""
+    """Convert 8 rows (tip and 3 rows of rotation, now and in the previous tick) to a `Pose`."""
     now = Pose()
     now.tip = wp.vec3d(pose[0, 0], pose[0, 1], pose[0, 2])
     now.last_tip = wp.vec3d(pose[4, 0], pose[4, 1], pose[4, 2])
@@ -202,7 +204,7 @@ def distance_to(kind: int, size: wp.vec2d, pose: Pose, points: Points, point: in
 # steps.
 NEWTON_STEPS = 60
 EXACT = wp.constant(wp.float64(1e-13))
-"""Relative distance of the slipping force from the friction cone below which the iteration ends."""
+"""Relative distance of a slipping point's force from the friction cone at which iteration ends."""
 TINY = wp.constant(wp.float64(1e-12))
 """Term added to the diagonal of a compliance that may be singular, relative to its trace."""
 
@@ -225,9 +227,9 @@ def slipping_force(
     drift: wp.vec3d,
     friction: wp.float64,
 ):
-    """Compute the contact force of a slipping point; the force lies on the friction cone.
+    """Compute the contact force [N] at a slipping point, which lies on the friction cone.
 
-    Without this force, the point would have the gap ``apart``, which is negative, and the
+    Without a contact force, the point would have the gap ``apart`` [m], which is negative, and the
     tangential slip ``drift`` [m].
     """
     side = wp.vec3d(ONE, ZERO, ZERO)

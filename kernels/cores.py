@@ -1,4 +1,4 @@
-"""Queries and limits of processor cores, and threads that avoid the core of the caller."""
+"""Number of usable processor cores, and threads that avoid the core of the calling thread."""
 
 import ctypes
 import os
@@ -13,12 +13,12 @@ _most_cores: list[int] = []
 
 
 def limit_cores(count: int) -> None:
-    """Limit `core_count`, and thereby later work of this process, to at most ``count`` cores."""
+    """Limit later work of this process to at most ``count`` cores, by limiting `core_count`."""
     _most_cores[:] = [count]
 
 
 def allowed_cores() -> set[int]:
-    """Return the cores that the calling thread may use; empty if they are not reported."""
+    """Return the cores that the calling thread may use; an empty set if they are unknown."""
     return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
 
 
@@ -49,10 +49,10 @@ def cores_without(core: int | None, allowed: set[int]) -> set[int]:
 
 
 class CoreThreads(ThreadPoolExecutor):
-    """Pool of threads that run on other cores than the core of the calling thread.
+    """Pool of threads that do not run on the core of the calling thread.
 
-    An operating system often starts a woken thread on the core of the caller. The woken thread
-    would then wait until the caller has finished its own part of the work.
+    An operating system often starts a woken thread on the core of the caller. There, the woken
+    thread would wait until the caller has finished the caller's part of the work.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class CoreThreads(ThreadPoolExecutor):
         self._place(number)
 
     def keep_off(self, core: int | None) -> None:
-        """Prevent these threads from running on ``core``, if another core is allowed."""
+        """Prevent the pool's threads from running on ``core``, if another core is allowed."""
         if core != self._avoided:
             self._avoided = core
             for number in self._numbers:

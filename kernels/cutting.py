@@ -10,16 +10,17 @@ coefficients (Altintas 2012, Manufacturing Automation, ch. 2) and a size effect.
 
 For each element, v is the velocity, A the area, r the distance from the axis, and t, n and a are
 the tangential, normal and axial directions. N is the number of teeth, and omega is the angular
-speed of the spindle. Every K is scaled by (density / reference density) ** exponent of the layer.
-Below the minimum chip thickness h_min the force is proportional to h, so the force is a Lipschitz
-function of the velocity. With m = 0 and h_min = 0, the force is linear in h. Elements that do not
-advance along their outward normal do not cut.
+speed of the spindle. Every coefficient K is scaled by (density / reference density) ** exponent,
+with the reference density and the exponent of the bone layer. Below the minimum chip thickness
+h_min the force is proportional to h, so the force is a Lipschitz function of the velocity. With m =
+0 and h_min = 0, the force is linear in h. An element that does not advance along its outward normal
+does not cut.
 
 The factor ``share`` is the part of the element's width that lies below the surface of the bone, see
-`kernels.engagement`. In a tick, the share is evaluated at the middle of the element's motion. As a
-function of the distance from the surface, the share falls from 1 to 0. The length of this
-transition is the larger of the element's width and the element's motion through the surface in the
-tick. An element that reaches the bone within the tick therefore cuts for the rest of the tick.
+`kernels.engagement`. In each tick (1 ms step), the share is evaluated at the middle of the
+element's motion. With increasing distance from the surface, the share falls from 1 to 0. The length
+of this transition is the element's width or, if larger, the element's motion through the surface in
+the tick. An element that reaches the bone within the tick therefore cuts for the rest of the tick.
 
 The kernel computes the force at a given velocity, and the derivatives of the force with respect to
 the velocity (the tangent). The kernel processes eight elements at once.
@@ -84,9 +85,9 @@ def cutting_forces(
 ):
     """Sum forces and torques on one chunk of cutting elements, and their derivatives.
 
-    The derivatives are with respect to 1, 3 or 6 unknowns. One unknown is the speed, three unknowns
-    are the velocity of the tip, and six are the velocity of the tip and the angular velocity. If
-    the speed is the unknown, the given velocities are the velocities at speed 1.
+    The derivatives are with respect to 1, 3 or 6 unknowns: the tool's speed; the velocity of the
+    tip; or the velocity of the tip and the angular velocity. If the speed is the unknown, the
+    velocities in ``motion`` belong to a speed of 1.
     """
     chunk = wp.tid() + chunk_offset
     if engaged[chunk] == ZERO:
@@ -151,7 +152,7 @@ def add_eight(
     chunk: int,
     sums_out: Lanes2D,
 ):
-    """Add the loads, removal rate and areas of eight cutting elements to the sums of a chunk."""
+    """Add loads, removal rate and areas of eight cutting elements to the sums of their chunk."""
     px = elements.lanes[eight, 0]
     py = elements.lanes[eight, 1]
     pz = elements.lanes[eight, 2]
@@ -228,9 +229,9 @@ def add_eight(
 def share_below(distance: lanes8, width: lanes8, tick: float, passing: lanes8, cuts: lanes8):
     """Compute the mean part of each of eight elements that is below the surface in a tick.
 
-    This part is called share. At the start of the tick, the elements have the signed ``distance``
-    [m] from the bone surface, positive outside. The distance changes at the rate ``passing`` [m/s].
-    The share is 0 for elements with a ``cuts`` of 0.
+    This part is called the share. At the start of the tick (1 ms step), the signed distance of the
+    elements from the bone surface is ``distance`` [m], positive outside. The distance changes at
+    the rate ``passing`` [m/s]. Elements for which ``cuts`` is 0 have a share of 0.
 
     Return the share, a flag that is 1 if the share is between 0 and 1, and the derivative of the
     share with respect to ``passing``.
@@ -257,13 +258,13 @@ def chip_law(
     chip_per_speed: float,
     advance: lanes8,
 ):
-    """Compute the effective chip thickness and the acting part of the edge force of eight elements.
+    """Compute the effective chip thickness and the share of the edge force of eight elements.
 
     ``advance`` is the speed along the normal [m/s]. Without a size effect, an advance of 0 gives a
     chip thickness of exactly 0.
 
-    Return the chip thickness [m], its derivative with respect to the advance, the acting part of
-    the edge force (0 to 1), and its derivative.
+    Return the chip thickness [m], its derivative with respect to the advance, the share of the edge
+    force (0 to 1), and the derivative of this share with respect to the advance.
     """
     one = lanes8(1.0)
     thickness = chip_per_speed * advance
@@ -286,7 +287,7 @@ def chip_law(
 
 @wp.func
 def row_of(motion: Doubles2D, row: int):
-    """Return the vector in a row of ``motion`` in single precision."""
+    """Return the vector in ``row`` of ``motion``, converted to single precision."""
     return wp.vec3(float(motion[row, 0]), float(motion[row, 1]), float(motion[row, 2]))
 
 
@@ -306,8 +307,8 @@ def above(values: lanes8):
 def loads_of(found: Lanes2D, eight: int, chip: lanes8, edge: lanes8):
     """Return the loads on eight cutting elements [N].
 
-    ``chip`` is the factor of the chip force of each element [m], and ``edge`` the factor of the
-    edge force.
+    ``chip`` is the effective chip thickness [m], which multiplies the chip coefficients. ``edge``
+    multiplies the edge coefficients.
     """
     loads = Loads()
     loads.tangential = wp.cw_mul(chip, found[eight, CHIP]) + wp.cw_mul(edge, found[eight, EDGE])
@@ -318,7 +319,7 @@ def loads_of(found: Lanes2D, eight: int, chip: lanes8, edge: lanes8):
 
 @wp.func
 def times(elements: Elements, eight: int, loads: lanes8, row: int):
-    """Multiply eight loads by a row of `kernels.elements.Elements.lever`."""
+    """Multiply the loads on eight elements by a row of `kernels.elements.Elements.lever`."""
     return wp.cw_mul(loads, elements.lever[eight, row])
 
 
@@ -359,7 +360,10 @@ def add_torques(
     place: int,
     sums_out: Lanes2D,
 ):
-    """Multiply loads by ``factor``, and add their torque to the sums, see `add_forces`."""
+    """Multiply the loads of eight elements by ``factor``, and add the resulting torque to the sums.
+
+    The other arguments are the same as in `add_forces`.
+    """
     tangential = wp.cw_mul(loads.tangential, factor)
     radial = wp.cw_mul(loads.radial, factor)
     axial = wp.cw_mul(loads.axial, factor)
@@ -396,10 +400,12 @@ def add_derivatives(
 ):
     """Add derivatives of force and torque with respect to velocities to the sums of a chunk.
 
-    The loads are derivatives with respect to a speed of each element, for example its speed along
-    the normal. They are multiplied by the derivatives of this speed with respect to the velocity of
-    the tip (x, y, z) and the angular velocity (turn_x, turn_y, turn_z). With three unknowns, only
-    the derivatives of the force are added.
+    ``loads`` contains derivatives of the loads with respect to a speed of each element, for example
+    the speed along the normal. The arguments ``x``, ``y`` and ``z`` are the derivatives of this
+    speed with respect to the velocity of the tip. The arguments ``turn_x``, ``turn_y`` and
+    ``turn_z`` are its derivatives with respect to the angular velocity. The products of ``loads``
+    and these derivatives are added to the sums. With three unknowns, only the derivatives of the
+    force are added.
     """
     add_forces(elements, eight, loads, x, chunk, place, sums_out)
     add_forces(elements, eight, loads, y, chunk, place + 6, sums_out)

@@ -1,7 +1,7 @@
 """Cutting elements of a cutter's surface, and their motion.
 
-A cutting element is a small piece of the surface. The functions compute positions and advances
-(speeds along the normal) of elements, and test whether elements may cut bone.
+A cutting element is a small piece of the surface. The functions compute the positions of elements
+and their advances (speeds along the normal), and test whether an element may cut bone.
 """
 
 import warp as wp
@@ -9,18 +9,18 @@ import warp as wp
 from kernels.arrays import Bits, Doubles2D, Int32s3D, Singles, SingleVectors
 
 CHUNK = 128
-"""Number of cutting elements per chunk, the group that one thread processes.
+"""Number of cutting elements per chunk. A chunk is the group that one thread processes.
 
-The sums of the chunks are added in fixed order, so the result does not depend on the number of
-threads.
+The sums over the elements of each chunk are added in fixed order. The result therefore does not
+depend on the number of threads.
 """
 
 
 LANES = 8
 """Number of elements whose positions and advances are computed at once.
 
-The computation of eight elements at once, with sums outside of branches, saves a tenth of the time
-of the force kernel, see docs/performance.md.
+Eight elements at once, with sums outside of branches, reduce the time of the force kernel by a
+tenth (see docs/performance.md).
 """
 lanes8 = wp.types.vector(length=LANES, dtype=wp.float32)
 Lanes2D = wp.array2d(dtype=lanes8)
@@ -56,9 +56,9 @@ class Elements:
 
 @wp.struct
 class Travel:
-    """Pose of a tool, and motion of the tool at speed 1.
+    """Pose of a tool, and velocities of the tool's motion if its speed is 1.
 
-    The components of the motion are along the tool's axes. The tool's axes are given as vectors in
+    The velocities have components along the tool's axes. The tool's axes are stored as vectors in
     the voxel grid [voxel/m].
     """
 
@@ -100,7 +100,7 @@ def may_cut(
     brick_of: Int32s3D,
     alive: Bits,
 ):
-    """Return whether an element of a chunk may advance into bone; a quick and conservative test.
+    """Return whether an element of a chunk may advance into bone, by a quick, conservative test.
 
     If `everywhere` is set, the direction of the motion is ignored, and only the distance from bone
     counts.
@@ -118,7 +118,7 @@ def may_cut(
 
 @wp.func
 def advance_of(elements: Elements, eight: int, travel: Travel):
-    """Compute the speeds of eight elements along their normals, per unit of the tool's speed."""
+    """Compute the speeds of eight elements along their normals, divided by the tool's speed."""
     nx = elements.lanes[eight, 3]
     ny = elements.lanes[eight, 4]
     nz = elements.lanes[eight, 5]

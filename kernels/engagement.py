@@ -1,13 +1,13 @@
 """Bone in front of each cutting element of a rotating cutter.
 
-A cutting element is a small piece of the cutter's surface. Its engaged share is the part of its
-width that lies below the surface of the bone. The surface of the bone is the original surface or,
-if a cut lies deeper, the surface of the cut. The kernel stores the distance of each element from
-this surface, the gradient of the distance, and the width of the element. From these values,
-`kernels.cutting` computes the engaged share at any velocity.
+A cutting element is a small piece of the cutter's surface. The engaged share of an element is the
+part of its width that lies below the surface of the bone. This surface is the original surface or,
+if a cut lies deeper, the surface of the cut. The kernel stores each element's distance from the
+surface, the gradient of the distance, and the element's width. From these values, `kernels.cutting`
+computes the engaged share at any velocity.
 
-Older cuts are read from the voxels, see `kernels.older_cuts`. The most recent cuts are computed
-from the tool's last poses, see `kernels.recent_cuts`.
+Older cuts are stored in the voxels, see `kernels.older_cuts`. The most recent cuts are not stored
+yet, and are computed from the tool's last poses, see `kernels.recent_cuts`.
 """
 
 import warp as wp
@@ -58,7 +58,8 @@ POSE_ROWS = 7
 DENSITIES = wp.constant(20001)
 """Number of entries per layer in the table `Coefficients.strength`.
 
-The entries are for densities from 0 to 20,000 kg/m3, the largest density allowed for bone.
+There is one entry for each density from 0 to 20,000 kg/m3, the largest density of bone that the
+library accepts.
 """
 # Largest width of an element across the surface [voxel]. Half of this width is less than 1.78
 # voxels, the range in which distances are interpolated, see `kernels.bone_lookup`.
@@ -73,7 +74,7 @@ NEAR = wp.constant(0.2)
 
 @wp.struct
 class Coefficients:
-    """Tangential, radial and axial cutting coefficients of each layer at its reference density."""
+    """Tangential, radial and axial cutting coefficients, by bone layer at reference density."""
 
     chip: SingleVectors  # [Pa]
     edge: SingleVectors  # [N/m]
@@ -111,7 +112,7 @@ def find_bone(
     found_out: Lanes2D,  # [eight elements, row], see `DISTANCE`
     engaged_out: Doubles,  # [chunk], 1 with bone; 1 at the first launch
 ):
-    """Find the bone in front of each cutting element of one chunk."""
+    """Find the bone in front of each cutting element of one chunk (group of elements)."""
     chunk = wp.tid() + chunk_offset
     seen_out[chunk, SLOTS] = corner8f()
     travel = travel_of(motion, spacing)
@@ -249,7 +250,7 @@ def set_strengths(
 
 @wp.struct
 class Met:
-    """Bone in front of a cutting element; lengths in metres, width 0 if there is no bone."""
+    """Bone in front of a cutting element. Lengths are in metres; the width is 0 without bone."""
 
     distance: wp.float32
     slope: wp.vec3
@@ -337,9 +338,10 @@ def bone_met(
 
 @wp.func
 def remaining_voxel(brick_of: Int32s3D, alive: Bits, at: wp.vec3):
-    """Return the storage location of the voxel at a point [voxel]: row of its brick, and column.
+    """Return the storage location (row and column) of the voxel at a point [voxel].
 
-    The row is -1 if no bone is left in the block of 2 x 2 x 2 voxels that contains the voxel.
+    The row belongs to the voxel's brick. It is -1 if no bone is left in the block of 2 x 2 x 2
+    voxels that contains the voxel.
     """
     ix = int(wp.floor(at[0]))
     iy = int(wp.floor(at[1]))

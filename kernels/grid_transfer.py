@@ -1,7 +1,7 @@
-"""Transfer between a fine and a coarse grid with twice the edge length, and Gauss-Seidel smoothing.
+"""Transfer between a fine grid and a coarse grid, and Gauss-Seidel smoothing, for multigrid.
 
-The module is part of a multigrid method. Cell stiffness and residuals are transferred to the coarse
-grid. Corrections are transferred to the fine grid.
+The cells of the coarse grid have twice the edge length. Cell stiffness and residuals are
+transferred to the coarse grid, and corrections are transferred to the fine grid.
 
 The trilinear shape functions of a coarse cell are trilinear on each of its eight children (fine
 cells). The stiffness of the coarse cell is therefore exactly ``K = sum P_c^T M K_c M P_c``. Here,
@@ -9,18 +9,18 @@ K_c is the stiffness of a child, P_c the interpolation to the child, and M the m
 components that may move. The coarse operator is the Galerkin projection of the fine operator. A
 change of one fine cell changes one coarse cell.
 
-Node blocks: the stiffness of a grid, assembled row by row.
+For smoothing, the stiffness of a grid is assembled row by row, one row for each node.
 
-The kernels assemble rows of 3 x 3 blocks, multiply them by a vector, and run Gauss-Seidel sweeps
-over eight colours.
+The kernels assemble rows of 3 x 3 blocks, multiply the rows by a vector, and run Gauss-Seidel
+sweeps. In a sweep, the nodes are updated colour by colour, with eight colours.
 
-A row holds one block for the node itself and one for each of its neighbours, up to 27 blocks in
-all. The order is: neighbours of lower colour, the node itself, neighbours of higher colour. This
-order splits K into L + D + U: the blocks before the node's own block, this block, and the blocks
-after it. The first sweep starts at zero, solves ``(L + D) v = f``, and leaves the residual
-``f - K v = -U v``. To compute v and the residual, K is read only once. Sums have a fixed order.
-Nodes that are changed at the same time have one colour and are never neighbours. The result is
-therefore the same to the last bit on any number of threads.
+A row holds one block for the node itself and one block for each neighbour, at most 27 blocks. The
+blocks are in this order: neighbours of lower colour, the node itself, neighbours of higher colour.
+This order splits K into L + D + U: the blocks before the node's own block, this block, and the
+blocks after it. The first sweep starts at zero and solves ``(L + D) v = f``. The residual after
+this sweep is ``f - K v = -U v``. Both v and the residual are thus computed while K is read once.
+Sums have a fixed order, and nodes that change at the same time have one colour, so they are not
+neighbours. The result is therefore the same to the last bit on any number of threads.
 """
 
 import warp as wp
@@ -70,7 +70,7 @@ def coarse_stiffness(
     stiffness_out: Matrices2D,  # [coarse cell, block]
     live_out: Bytes,
 ):
-    """Compute the stiffness of the changed coarse cells from the fine cells in them."""
+    """Compute the stiffness of changed coarse cells from the fine cells that they contain."""
     coarse = changed[wp.tid() + offset]
     for block in range(BLOCKS):
         stiffness_out[coarse, block] = wp.mat33d()
@@ -109,7 +109,7 @@ def restrict(
     # out
     load_out: SingleVectors,  # [coarse node]
 ):
-    """Compute the load of the coarse grid: the fine residual times the transposed interpolation."""
+    """Compute the load of the coarse grid: transposed interpolation of the fine residual."""
     coarse = wp.tid() + offset
     total = wp.vec3f()
     for slot in range(27):
@@ -171,12 +171,12 @@ def assemble_rows(
     single_out: SingleMatrices,  # [block], the same in single precision, for the preconditioner
     inverse_out: SingleMatrices,  # [node] [m/N], inverse of the node's own block
 ):
-    """Assemble rows of the stiffness ``M K M``, where the mask M selects components that may move.
+    """Assemble rows of the stiffness ``M K M``. The mask M selects components that may move.
 
     Components that may not move (held components) have zero stiffness. The kernel also computes the
-    inverse of each node's own block. The inverse has 1 on the diagonal for held components. It is
-    zero at a free node without stiffness. A small multiple of the trace is added to the diagonal,
-    so that blocks next to empty cells can be inverted.
+    inverse of each node's own block. In this inverse, the diagonal is 1 for held components. At a
+    free node without stiffness, the inverse is zero. A small multiple of the trace is added to the
+    diagonal, so that blocks next to empty cells can be inverted.
     """
     node = rows[wp.tid() + offset]
     for place in range(row_start[node], row_start[node + 1]):
@@ -226,8 +226,7 @@ def first_residuals(
 ):
     """Compute the residual after the first Gauss-Seidel sweep, which starts at zero.
 
-    The residual at a node is not zero, because nodes of higher colours move after this node is
-    solved.
+    The residual at a node is not zero, because nodes of higher colours are updated after this node.
     """
     node = wp.tid() + offset
     total = wp.vec3f()
@@ -250,7 +249,7 @@ def sweep_colour(
 ):
     """Run the part of a Gauss-Seidel sweep that updates the nodes of one colour.
 
-    Every node of the colour is displaced so that the three equations of this node are satisfied.
+    Each of these nodes is displaced such that the three equations of the node are satisfied.
     """
     node = nodes[wp.tid() + offset]
     left = load[node]

@@ -5,8 +5,8 @@ stiffness and a vector.
 
 Corner ``a = 4 i + 2 j + k`` of a cell has the position ``(i, j, k)`` in units of the edge length. A
 cell's stiffness is a symmetric matrix of 24 x 24. Its ``BLOCKS`` blocks (a, b) of 3 x 3 with a <= b
-are stored row after row. The other blocks are their transposes, so the matrix is symmetric to the
-last bit. The product of the stiffness of a set of cells and a vector needs no assembled matrix.
+are stored row after row. The blocks with a > b are transposes of stored blocks, so the matrix is
+symmetric to the last bit. To multiply the stiffness of a grid by a vector, no matrix is assembled.
 First, the forces at the corners of each cell are computed. Then, for every node, the forces from
 its cells (at most eight) are summed in fixed order. There are no atomic operations, and the result
 has the same bits on any number of threads.
@@ -32,7 +32,7 @@ def block_of(a: int, b: int):
 
 @wp.func
 def carries(live: Bytes, cell: int):
-    """Return whether the cell exists (-1 means no cell) and carries load."""
+    """Return whether a cell exists and carries load. The index -1 means that there is no cell."""
     if cell < 0:
         return False
     return live[cell] != wp.uint8(0)
@@ -50,7 +50,7 @@ def cell_block(stiffness: Matrices2D, cell: int, a: int, b: int):
 def corner_gradients(at: wp.vec3d, inverse_edge: wp.float64):
     """Compute the gradients [1/m] of the eight shape functions at a position in the cell.
 
-    The position runs from 0 to 1 along each edge.
+    The coordinates of the position are from 0 to 1 along each edge of the cell.
     """
     gradients = CornerGradients()
     for a in range(8):

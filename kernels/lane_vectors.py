@@ -1,8 +1,8 @@
-"""Data layout for `kernels.cell_strips`: weights of cells in strips, and vectors in lanes.
+"""Data layout for the matrix product in `kernels.cell_strips`: cell weights and vectors.
 
-A strip consists of eight cells in a row. A lane is the position of one cell in its strip. The
-kernels compute the weights of cells and the diagonal of the stiffness, run a smoothing step, and
-convert vectors between node order and lane order.
+A strip consists of eight cells in a row, which are processed at once. A lane is the position of a
+cell in its strip. The kernels compute the weights of cells and the diagonal of the stiffness, run a
+smoothing step, and convert vectors between node order and lane order.
 """
 
 from typing import Any
@@ -54,7 +54,7 @@ def cube_weights(
     weight_out: Doubles3D,
     single_out: Singles3D,  # rounded to single precision
 ):
-    """Compute the weights that `kernels.cell_strips` uses, for the changed cells."""
+    """Compute the stored cell weights of `kernels.cell_strips`, for the changed cells."""
     cell = changed[wp.tid() + offset]
     row = strip[cell][0]
     lane = strip[cell][1]
@@ -164,8 +164,8 @@ def smooth(
 ):
     """Run one smoothing step: ``v += d``, ``r -= K d``, ``d = share d + gain D^-1 r``.
 
-    The vector is v, the residual r and the direction d. ``inverse`` is the scaled inverse of the
-    diagonal, D^-1. The product K d is read from ``force_out``.
+    Here, v is the vector, r the residual, d the search direction and K the stiffness. ``inverse``
+    is D^-1, the scaled inverse of the diagonal of K. The product K d is read from ``force_out``.
     """
     i = wp.tid() + offset
     for c in range(3):

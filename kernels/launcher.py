@@ -2,19 +2,19 @@
 
 On a CPU, a Warp kernel launch runs on one core but releases the interpreter lock, so two halves of
 a launch can run in two threads. Passing work to a thread takes about 50 us. A launch is therefore
-split only if its last runs took longer than ``SPLIT_ABOVE_S`` and if measurements show that
-splitting saves time, see `SplitChoice`. A single slow run does not count, because another process
-may have interrupted it. If a thread has not begun its part, because other processes use its core,
-the calling thread runs this part itself. Waiting for the thread would cost milliseconds. Kernels
-are written so that splitting does not change any bit of the result.
+split only if its last runs took longer than ``SPLIT_ABOVE_S``. In addition, measurements must show
+that splitting saves time, see `SplitChoice`. A single slow run does not count, because another
+process may have interrupted it. Other processes may occupy the core of a thread, so that the thread
+does not begin its part. The calling thread then runs the part itself, because waiting would cost
+milliseconds. Kernels are written so that splitting does not change any bit of the result.
 
-Choice of splitting: a launch is split if the gain measured on this machine is large enough.
+A launch is split only if the gain measured on this machine is large enough.
 
-Two logical processors may share one core, or other processes may keep a core busy. Half of the work
-then takes as long as the whole work, and splitting only adds time. The gain is the ratio of the
-time without splitting to the time with splitting. A short calibration before the first launch
-measures the gain. The gain is measured again while the launches run, at first often and later less
-and less often.
+Two logical processors may share one core, or other processes may keep a core busy. On such cores,
+half of the work takes as long as the whole work, and splitting only adds time. The gain is the
+ratio of the time without splitting to the time with splitting. A short calibration before the first
+launch measures the gain. The gain is measured again while the launches run, at first often and
+later less and less often.
 """
 
 import ctypes
@@ -39,37 +39,37 @@ LEAST_GAIN = 1.1
 Calibrations measure 0.91 to 1.03 if splitting does not save time, and 1.14 to 1.28 if it does.
 """
 ORDER = tuple(number.bit_count() % 2 == 1 for number in range(16))
-"""Order of the runs in a trial: true for a run that is split, false for a whole run.
+"""Order of the runs in a trial: True for a split run, False for a run as a whole.
 
-A trial measures the gain of splitting. The two halves of the trial have equal numbers of split
+A trial measures how much time splitting saves. Both halves of a trial have the same number of split
 runs. The order is not periodic, so it cannot coincide with a period of the work.
 """
 MOST_RATIO = 4.0
 """Upper limit for the time of a run in a trial, relative to the median time of the trial.
 
-Longer times are set to this limit.
+Longer times are replaced by this limit.
 
 A single interruption therefore does not change the outcome of the trial.
 """
 KEPT = 4
-"""Number of most recent gains that are used. Earlier, the load of the machine may have differed."""
+"""Number of most recent gains that are used. Older gains may belong to another machine load."""
 FIRST_TRIAL, LAST_TRIAL = 32, 2048
-"""Number of large runs before the first trial, and largest number of large runs between trials.
+"""Number of long runs before the first trial, and largest number of long runs between trials.
 
-A run is large if it takes long enough to be split. The number of large runs between two trials
-doubles after each trial that confirms the choice.
+A run is long if it takes long enough to be split. After each trial that confirms the choice, the
+number of long runs before the next trial is doubled.
 """
 SAMPLES = 8
 """Number of pairs of runs in the calibration. Each pair has one whole run and one split run."""
 CALIBRATION_S = 1.5e-4
-"""Time that one part of the work in the calibration takes [s].
+"""Duration [s] of one part of the calibration's work.
 
-Two parts take about as long as a launch that is just long enough to be split.
+Two parts take about as long as the shortest launch that may be split.
 """
 SAMPLE_BYTES = 1 << 16
-"""Number of bytes that the calibration hashes first, which takes tens of us.
+"""Number of bytes that the calibration hashes first. Hashing them takes tens of microseconds.
 
-From the measured time, the calibration computes the number of bytes whose hashing takes
+From the measured time, the calibration computes how many bytes must be hashed to reach the duration
 `CALIBRATION_S`.
 """
 
@@ -77,8 +77,8 @@ From the measured time, the calibration computes the number of bytes whose hashi
 class SplitChoice:
     """Choice for one kernel launch: run it as a whole, or split it over several cores.
 
-    The choice is based on trials, because the work of a launch changes from run to run. A trial
-    compares equal numbers of whole and split runs, in mixed order.
+    Because the work of a launch changes from run to run, the choice is based on trials. A trial
+    compares equal numbers of whole and split runs in mixed order.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class SplitChoice:
 
     @property
     def gain(self) -> float:
-        """Geometric mean of the last gains (time without splitting / time with splitting)."""
+        """Geometric mean of recent gains (time without splitting / time with splitting)."""
         return geometric_mean(self._gains)
 
     @property
@@ -103,7 +103,10 @@ class SplitChoice:
         return self.gain >= LEAST_GAIN
 
     def next_run(self) -> bool:
-        """Return whether to split the next run that takes long enough to be split."""
+        """Return whether to split the next run.
+
+        The run must be long enough to be split.
+        """
         return self.splits if self._due > 0 else ORDER[len(self._trial)]
 
     def add(self, seconds: float) -> None:
@@ -131,12 +134,12 @@ class SplitChoice:
 def run_split(pool: CoreThreads, parts: list[Callable[[], object]]) -> int:
     """Run the first part in this thread, and the other parts in the threads of a pool.
 
-    If no thread of the pool has begun a part when the first part is done, this thread runs the
-    part.
+    When the first part is done, this thread also runs every part that no thread of the pool has
+    begun.
 
     Returns
     -------
-    Number of parts that ran in parallel: the first part and the parts that the pool ran.
+    Number of parts that ran in parallel, that is, 1 plus the number of parts that the pool ran.
     """
     pool.keep_off(current_core())
     waiting = [(pool.submit(part), part) for part in parts[1:]]
@@ -152,9 +155,9 @@ def run_split(pool: CoreThreads, parts: list[Callable[[], object]]) -> int:
 
 
 def calibrate(pool: CoreThreads, parts: int) -> float:
-    """Measure the gain of splitting: time of all parts in one thread / time in several threads.
+    """Measure the gain of splitting: time in one thread / time in several threads.
 
-    The work of the measurement only needs processor time. The measurement takes a few milliseconds.
+    The measurement runs a computation that needs only processor time, and takes a few milliseconds.
 
     Parameters
     ----------
@@ -205,7 +208,7 @@ With `GROWTH`, a launch is split in its sixth run at the earliest.
 
 @dataclass
 class LaunchCounts:
-    """Number of kernel launches that were long enough to be split, and number that were split."""
+    """Number of kernel launches that were long enough to be split, and number of split launches."""
 
     large: int = 0
     split: int = 0
@@ -215,7 +218,7 @@ _counts = LaunchCounts()
 
 
 def launch_counts() -> LaunchCounts:
-    """Return a copy of the numbers of long and of split kernel launches in this process."""
+    """Return a copy of this process's counts of kernel launches, see `LaunchCounts`."""
     return LaunchCounts(_counts.large, _counts.split)
 
 
@@ -229,8 +232,8 @@ def _pool(threads: int) -> CoreThreads:
 def _gain(threads: int) -> float:
     """Return the gain of splitting work into ``threads`` + 1 parts on this machine.
 
-    The gain is measured in the first call. All launches with this number of parts start from this
-    gain.
+    The gain is measured in the first call. It is the start value for all launches with this number
+    of parts.
     """
     return calibrate(_pool(threads), threads + 1)
 
@@ -245,9 +248,9 @@ def recorded(
 ) -> Callable[[], object]:
     """Record a launch and return a function that runs it.
 
-    On a CPU the function calls the compiled kernel with arguments that are packed once. For six
-    arguments, a call takes 0.6 us. Warp's own `Launch.launch` packs the arguments in every call and
-    takes 5 us.
+    On a CPU, the arguments are packed once, and each call of the function passes them to the
+    compiled kernel. For six arguments, a call takes 0.6 us. Warp's own `Launch.launch` packs the
+    arguments in every call and takes 5 us.
     """
     command: wp.Launch = wp.launch(
         kernel,
@@ -276,7 +279,7 @@ def recorded(
 
 
 def run_once(kernel: wp.Kernel, dim: int, inputs: Sequence[object], outputs: Sequence[Any]) -> None:
-    """Launch a kernel once, unsplit, on the device of its first output.
+    """Launch a kernel once, without splitting, on the device of the first output.
 
     The value 0, the index of the first thread, is appended to the inputs. NumPy arrays are copied
     to the device.
@@ -287,21 +290,21 @@ def run_once(kernel: wp.Kernel, dim: int, inputs: Sequence[object], outputs: Seq
 
 
 class SplitLaunch:
-    """Kernel launch that is recorded once, as a whole and in parts, and run many times.
+    """Kernel launch that is recorded once and run many times, as a whole or in parts.
 
     Parameters
     ----------
     kernel
-        Kernel with an integer input for the index of the first thread, which it adds to its thread
-        index.
+        Kernel with an integer input, the index of the first thread. The kernel must add this index
+        to its thread index.
     dim
         Number of Warp threads of the whole launch. If there are several dimensions, the first is
         split.
     inputs, outputs
         Arguments of the kernel. NumPy arrays among the inputs are copied to the device.
     offset_index
-        Position in ``inputs`` of the index of the first thread. The value at this position is
-        replaced. Default: the index is appended to ``inputs``.
+        Position in ``inputs`` of the integer for the index of the first thread. The launch replaces
+        the value at this position. Default: the index is appended to ``inputs``.
     device
         Warp device name; default: the device of the first output. On a GPU the launch is never
         split.

@@ -1,4 +1,4 @@
-"""Copies of host arrays on a device, and arrays that host and device exchange in every tick."""
+"""Copies of host arrays on a device, and arrays that host and device exchange repeatedly."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class Mirror:
-    """Array on a device and a host array of equal shape. On a CPU, both arrays share the memory.
+    """Pair of a device array and a host array of equal shape. On a CPU, they share the memory.
 
     Parameters
     ----------

@@ -1,11 +1,11 @@
-"""Copy of the compliance between the nodes near a tool, in consecutive memory.
+"""Copy of the compliance matrix for the nodes near a tool, in consecutive memory.
 
 Each node near the tool has a slot. Nodes that may carry load (loaded nodes) have the first slots. A
 loaded node also has three rows, one for each component of its force. A row holds the displacements
-of all slots due to a unit force, slot by slot. The displacements due to a change of force are
-therefore computed from consecutive memory, in packs of numbers. In the full compliance matrix, the
-three rows of each 3 x 3 block lie far apart. In each tick, only the entries of nodes that are newly
-near the tool or newly loaded are copied.
+of the nodes in all slots due to a unit force, slot by slot. To compute the displacements due to a
+change of force, consecutive memory is read, in packs of numbers. In the full compliance matrix, in
+contrast, the three rows of each 3 x 3 block lie far apart. In each tick (1 ms step), entries are
+copied only for nodes that are newly near the tool or newly loaded.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ from kernels.contact_state import Body, block
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 LANES = 16
-"""Number of values in a pack, which is read at once.
+"""Number of values in a pack. A pack is read at once.
 
 Reading a block of nine numbers takes 0.7 ns with packs of 16 numbers, 1.0 ns with packs of 8, and
 0.8 ns with packs of 32. Reading the block from the full compliance takes 3.9 ns.
@@ -28,8 +28,8 @@ Pack = wp.types.vector(length=LANES, dtype=wp.float64)
 SLOTS, LOADED, STALE = 0, 1, 2
 """Indices into the counts of `Patch`.
 
-The counts are: number of slots, number of slots of loaded nodes, and 1 if all rows must be copied
-again.
+The counts are: number of used slots, number of slots of loaded nodes, and a flag that is 1 if all
+rows must be copied again.
 """
 
 
@@ -50,7 +50,7 @@ class Patch:
 
 @wp.func
 def moved_at(patch: Patch, slot: int):
-    """Return the displacement [m] of the node that has a slot."""
+    """Return the displacement [m] of the node with the given slot."""
     return wp.vec3d(patch.moved[3 * slot], patch.moved[3 * slot + 1], patch.moved[3 * slot + 2])
 
 
@@ -74,7 +74,7 @@ def push(patch: Patch, slot: int, change: wp.vec3d, slots: int):
 def move_all(body: Body, patch: Patch, slots: int):
     """Recompute the displacements of the first ``slots`` slots under all loads.
 
-    Rounding errors would accumulate if only the effects of changed forces were added.
+    The recomputation removes rounding errors, which accumulate when only changes are added.
     """
     for p in range((3 * slots + LANES - 1) // LANES):
         patch.moved_packs[p] = Pack()
@@ -98,7 +98,7 @@ def gather(body: Body, patch: Patch, loaded: int, slot: int):
 
 @wp.func
 def gather_again(body: Body, patch: Patch):
-    """Copy all rows again; needed after a scaling of the compliance or if blocks were missing."""
+    """Copy all rows again, because the compliance was scaled or blocks were missing."""
     patch.count[STALE] = 0
     for loaded in range(patch.count[LOADED]):
         for slot in range(patch.count[SLOTS]):
@@ -107,10 +107,10 @@ def gather_again(body: Body, patch: Patch):
 
 @wp.func
 def swap(patch: Patch, p: int, q: int):
-    """Exchange the nodes of slots ``p`` and ``q``.
+    """Exchange the nodes of the slots ``p`` and ``q`` in the copied compliance.
 
-    The entries of the two slots in all rows are exchanged. The rows of the two nodes are not
-    exchanged.
+    In each row, the entries of the two slots are exchanged. The rows of the two nodes themselves
+    are not exchanged.
     """
     first = patch.node[p]
     second = patch.node[q]
@@ -142,7 +142,7 @@ def add_node(body: Body, patch: Patch, node: int):
 
 @wp.func
 def drop_left(patch: Patch, tick: int):
-    """Free the slots of nodes that are no longer near the tool and do not carry load."""
+    """Free the slots of nodes that are no longer near the tool and carry no load."""
     slot = patch.count[SLOTS] - 1
     while slot >= patch.count[LOADED]:
         node = patch.node[slot]
@@ -171,7 +171,7 @@ def keep_loaded(body: Body, patch: Patch, node: int, tick: int):
 
 @wp.func
 def drop_idle(patch: Patch, tick: int):
-    """Free the rows of nodes that are not loaded in this tick."""
+    """Free the compliance rows of nodes that are not loaded in this tick."""
     slot = patch.count[LOADED] - 1
     while slot >= 0:
         if patch.loaded_mark[patch.node[slot]] != tick:
@@ -209,7 +209,7 @@ def new_patch(nodes: int, device: str) -> Patch:
 
 
 def gather_all_again(patch: Patch) -> None:
-    """Request a new copy of all rows in the next tick; needed after a scaling of the compliance."""
+    """Request a new copy of all rows in the next tick. Call this after scaling the compliance."""
     count = patch.count.numpy()
     count[STALE] = 1
     patch.count.assign(count)

@@ -1,15 +1,15 @@
-"""Length of the bone that older cuts have left in front of the tool's surface.
+"""Length of bone in front of the tool's surface that older cuts have not removed.
 
 Older cuts are all cuts except the most recent ones. The error of the length is of second order in
 the voxel size.
 
-The distance of every voxel centre to older cuts is stored (see :mod:`kernels.carving`). The
+For every voxel centre, the distance from older cuts is stored (see :mod:`kernels.carving`). The
 difference between this distance and the distance to the present tool is interpolated between voxel
-centres. The difference is 0 where the surfaces of the older cut and of the tool coincide, for any
-curvature. The difference is negative where the older cut lies deeper. The surface of an older cut
-is straight along the path of the tool, but the tool is curved. Along the path, the difference
-therefore has the curvature of the tool, and linear interpolation underestimates the difference.
-This error is corrected. Lengths are in voxels.
+centres. Where the surfaces of the older cut and of the tool coincide, the difference is 0 for any
+curvature. Where the older cut lies deeper, the difference is negative. Along the path of the tool,
+the surface of an older cut is straight, but the tool is curved. The difference is therefore curved
+along the path, and linear interpolation underestimates it. This error is corrected. Lengths are in
+voxels.
 """
 
 import warp as wp
@@ -32,9 +32,9 @@ FARTHEST = wp.constant(2.0)  # upper limit of a difference [voxel]
 SLOTS = 64
 """Number of 2 x 2 x 2 blocks whose distances to the tool are stored for a chunk of elements.
 
-Four blocks along each axis are enough, because neighbouring elements use the same blocks. Each
-entry holds the indices of a block, and the distance, bend and slope of the tool at its middle. The
-entry after the last block is 1 if the entries of the blocks are valid.
+Four blocks along each axis are enough, because neighbouring cutting elements use the same blocks.
+Each entry holds the indices of a block, and the distance, bend and slope of the tool's surface at
+the middle of the block. A further entry at the end is 1 if the block entries are valid.
 """
 NOWHERE = wp.constant(-1.0e9)  # index of an empty entry
 
@@ -110,7 +110,7 @@ def bone_left(
 
 @wp.func
 def kept_distance(kept: int):
-    """Convert a distance as `kernels.carving.swept_steps` stores it to a distance [voxel]."""
+    """Convert a stored integer of `kernels.carving.swept_steps` to a distance [voxel]."""
     return float(kept - 32768) * (1.0 / 4096.0)
 
 
@@ -125,8 +125,9 @@ def tool_distances(
 ):
     """Return the distances [voxel] from the tool at its present pose to the corners of a cell.
 
-    As in carving, a block of 2 x 2 x 2 voxels uses one tangent sphere of the tool. The spheres are
-    stored in ``seen``, because neighbouring elements use the same blocks.
+    In each block of 2 x 2 x 2 voxels, the tool is approximated by one tangent sphere, as in
+    carving. The spheres are stored in ``seen``, because neighbouring cutting elements use the same
+    blocks.
     """
     found = corner8f()
     if seen[chunk, SLOTS][0] == 0.0:
@@ -182,10 +183,10 @@ def tool_distances(
 def bend_below(bend: float, outward: wp.vec3, part: wp.vec3):
     """Estimate the error [voxel] of linear interpolation along a surface with the tool's curvature.
 
-    Values that are interpolated between voxel centres are too small for a convex surface. The
-    surface curves along one direction in the tangent plane, perpendicular to ``outward``. This
-    direction is not known, so the result is the mean over all directions. The error of this
-    estimate is not larger than the estimate.
+    For a convex surface, distances that are interpolated between voxel centres are too small. The
+    surface is curved along one direction in the tangent plane, perpendicular to ``outward``. This
+    direction is not known, so the returned estimate is the mean over all directions. The error of
+    the estimate is at most as large as the estimate.
     """
     if bend >= EDGE:
         return float(0.0)

@@ -1,4 +1,4 @@
-"""Stiffness of grid cells, summed over their material particles, and stress at the particles.
+"""Stiffness of grid cells, summed over their material particles, and stress at points in cells.
 
 A material particle is an integration point with a volume. Its weight w is its remaining volume, and
 lambda and mu are its Lame constants. The gradient of corner a's shape function at the particle is
@@ -6,24 +6,26 @@ g_a. ``w B^T D B`` has the blocks::
 
     K_ab = w [lambda g_a g_b^T + mu g_b g_a^T + mu (g_a . g_b) I]
 
-In a cell that is cut or holds few particles, some modes are unresolved: they deform the cell
-without energy. A single particle gives the stiffness a rank of 6 instead of 18. A fraction s of a
-stabilising energy is therefore added. This energy is the energy of a full cell with the mean shear
-modulus in the modes whose gradient varies inside the cell. With Lame constants of 1, its stiffness
-matrix is ``inner``. For every linear field, this energy is zero, so the patch test is still exact::
+In a cell that is cut or holds few particles, some deformation modes are unresolved: they have no
+energy. With a single particle, for example, the stiffness has a rank of 6 instead of 18. A fraction
+s of a stabilising energy is therefore added. The stabilising energy is that of a full cell with the
+mean shear modulus, in the modes whose gradient varies inside the cell. Its stiffness matrix for
+Lame constants of 1 is ``inner``. For linear displacement fields, the stabilising energy is zero, so
+the patch test is still exact::
 
     K_ab += s (sum w mu / h^3) inner_ab,   s = strength (1 - min(1, min_i 12 sum w (x_i - 1/2)^2 / h^3))
 
-The sums are over the particles of the cell, h is the edge length, and x_i is a coordinate of a
-particle from 0 to 1. The outer bracket is 0 if the particles have the second moment of a full cell,
-for example at Gauss points. The bracket is 1 for a single particle in the middle. The method is
-hourglass control (Flanagan and Belytschko 1981, Int. J. Numer. Methods Eng. 17:679), scaled by this
-bracket.
+The sums are over the particles of the cell, h is the cell's edge length, and x_i is a particle's
+coordinate from 0 to 1. The outer bracket is 0 if the particles have the second moment of a full
+cell, as particles at Gauss points have. For a single particle in the middle, the bracket is 1. The
+method is hourglass control (Flanagan and Belytschko 1981, Int. J. Numer. Methods Eng. 17:679),
+scaled by this bracket.
 
 Springs between points x of the cell and the ground add ``sum N_a(x) N_b(x) S`` to K_ab. S is the 3
 x 3 stiffness of a spring, and N_a is the shape function of corner a.
 
-Stress: strain and stress at points of trilinear cells, with von Mises and principal stresses.
+The module also computes strain and stress, including von Mises and principal stresses, at points of
+the cells.
 
 The displacement gradient is ``grad u = sum u_a g_a^T``, the strain ``e = sym grad u`` and the
 stress ``s = lambda tr(e) I + 2 mu e``. Principal stresses are computed in closed form (Smith 1961,
@@ -74,7 +76,7 @@ def particle_stiffness(
 ):
     """Compute the stiffness of the changed cells as a sum over their material particles.
 
-    Only the upper triangle of blocks is computed, and the diagonal blocks are made exactly
+    Only the upper triangle of 3 x 3 blocks is computed. The blocks on the diagonal are made exactly
     symmetric.
     """
     cell = changed[wp.tid() + offset]

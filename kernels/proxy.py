@@ -1,12 +1,12 @@
-"""One tick of a proxy, a copy of the tool that follows the device as closely as obstacles allow.
+"""Motion of a proxy in one tick (1 ms). A proxy is a copy of the tool that avoids obstacles.
 
-The proxy is rigid. From its last pose, the proxy moves in steps towards the pose of the device. The
-steps reduce the energy of the springs between proxy and device (a descent). The length of a step is
-at most the distance that is certainly free of obstacles. Near an obstacle, the length is at most
-half a voxel. In every step, the contact forces are computed. A step that ends too deep in an
-obstacle is undone and halved. The proxy therefore stays on its side of an obstacle, even if the
-device passes through the obstacle at any speed. Sources: Zilles and Salisbury 1995, IROS; Ruspini,
-Kolarov and Khatib 1997, SIGGRAPH.
+The proxy is rigid, and follows the haptic device as closely as obstacles allow. From its last pose,
+the proxy moves in steps towards the pose of the device. The steps reduce the energy of the springs
+between proxy and device. The length of a step is at most the distance that is certainly free of
+obstacles. Near an obstacle, a step is at most half a voxel long. Contact forces are computed in
+every step. A step that ends too deep in an obstacle is undone, and repeated with half the length.
+The proxy therefore stays on its side of an obstacle, even if the device passes through the obstacle
+at any speed. Sources: Zilles and Salisbury 1995, IROS; Ruspini, Kolarov and Khatib 1997, SIGGRAPH.
 """
 
 import warp as wp
@@ -30,23 +30,23 @@ from kernels.voxmap import Field
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 POSITION, ROTATION, TRAVEL, STATE = 0, 3, 7, 8
-"""Indices into the state of the proxy, and number of its entries (`STATE`).
+"""Indices into the proxy's state array, and number of entries of this array (`STATE`).
 
 The entries are: position x, y, z [m], quaternion x, y, z, w, and path length since the proxy was
 placed [m].
 """
 CONVERGED, PRESSING, STEPS, SOLVES, FORCE, MOMENT, CENTRE, REPORT = 0, 1, 2, 3, 4, 7, 10, 13
-"""Indices into the report of a tick, and number of its entries (`REPORT`).
+"""Indices into the array of results of a tick, and number of entries of this array (`REPORT`).
 
-The first entries are: 1 if converged, number of contacts with force, number of steps, and number of
-linear systems solved. Force / stiffness [m], moment / stiffness [m2], and the centre of pressure
-[m] follow, with three entries each. The centre of pressure is relative to the tool's origin, in
-world axes.
+The first entries are: a flag (1 if the proxy converged), the number of contacts with force, the
+number of steps, and the number of linear systems solved. Then follow force / coupling stiffness
+[m], moment / coupling stiffness [m2] and centre of pressure [m], with three entries each. The
+centre of pressure is relative to the tool's origin, in world axes.
 """
 HALVINGS = 8
-"""Largest number of times that a step is halved. After that, the proxy stops in this tick.
+"""Largest number of times that a step is halved. Then, the proxy stops until the next tick.
 
-This number of halvings reduces a step of half a voxel to 0.002 voxels.
+Eight halvings reduce a step of half a voxel to 0.002 voxels.
 """
 
 
@@ -64,7 +64,7 @@ def rotation_in(pose: Doubles):
 
 @wp.func
 def begin_descent(state: Doubles, tolerance: wp.float64):
-    """Return a new `Descent`, whose trial pose is the pose of the last tick."""
+    """Return a new `Descent` (progress of the motion) that starts at the last tick's pose."""
     descent = Descent()
     descent.position = position_in(state)
     descent.rotation = rotation_in(state)
@@ -80,7 +80,7 @@ def begin_descent(state: Doubles, tolerance: wp.float64):
 
 @wp.func
 def write_state(descent: Descent, state_out: Doubles):
-    """Write the last free pose and the path length of a `Descent` to the state."""
+    """Write the last free pose and the path length of a `Descent` to the proxy's state array."""
     for c in range(3):
         state_out[POSITION + c] = descent.position[c]
     for c in range(4):
@@ -90,7 +90,7 @@ def write_state(descent: Descent, state_out: Doubles):
 
 @wp.func
 def write_reaction(reaction: Reaction, report_out: Doubles):
-    """Write the sum of the contact forces and the centre of pressure to the report."""
+    """Write the sum of the contact forces and the centre of pressure to the results of the tick."""
     report_out[PRESSING] = wp.float64(reaction.pressing)
     for c in range(3):
         report_out[FORCE + c] = reaction.force[c]
@@ -111,7 +111,7 @@ def advance_proxy(
     state_out: Doubles,
     report_out: Doubles,
 ):
-    """Move the proxy in steps toward the goal, up to the last free pose that is found."""
+    """Move the proxy in steps toward the goal pose, to the last pose found free of obstacles."""
     goal_position = position_in(goal)
     goal_rotation = rotation_in(goal)
     descent = begin_descent(state_out, settings.tolerance)

@@ -1,11 +1,12 @@
-"""Search for points of a tool that may touch obstacles, and for planes that bound these points.
+"""Search for points of a tool that may touch obstacles, and for the planes that limit their motion.
 
 Shell points represent the tool's surface. A contact constrains a shell point to stay above a plane.
-A point that is far from all obstacles sleeps: it is not checked until the shell has travelled the
-distance from the point to the nearest obstacle. Near voxels, up to two earlier planes of a point
-are kept in addition to its present plane. With only one plane, a point in an inner corner would
-alternate between the faces of the corner (Zilles and Salisbury 1995). A kept plane is dropped as
-soon as it would exclude space that is free according to the present distance.
+A shell point that is far from all obstacles sleeps. A sleeping point is not checked until the tool
+has travelled the distance from the point to the nearest obstacle. Near bone voxels, up to two
+earlier planes of a point are kept in addition to the point's present plane. With only one plane, a
+point in an inner corner would alternate between the faces of the corner (Zilles and Salisbury
+1995). A kept plane is dropped as soon as it would exclude space that is free according to the
+present distance.
 """
 
 import warp as wp
@@ -20,15 +21,16 @@ VOXEL_PLANES = 3
 """Number of planes per shell point near voxels: the present plane and two earlier planes."""
 FAR = wp.constant(wp.float64(1.0e30))  # no distance yet [m]
 AHEAD = wp.constant(wp.float64(4.0))
-"""Largest distance by which a sleeping point is checked early, in step lengths.
+"""Largest travel, in step lengths, by which a sleeping point may be checked early.
 
-This limits the number of points that are checked on a long path.
+A sleeping point is a shell point far from all obstacles, which is not checked for some time. The
+limit reduces the number of points that are checked on a long path.
 """
 LEAST_SLOPE = wp.constant(wp.float64(0.5))
-"""Lower limit of the slope by which the level at a point is divided.
+"""Lower limit of the slope of the level, by which the level at a point is divided.
 
-The quotient is the assumed distance of a point. With this limit, the distance is never more than
-one voxel.
+The level is an approximate signed distance from bone voxels, and level / slope is the assumed
+distance. With this limit, the assumed distance is never more than one voxel.
 """
 SAME_DIRECTION = wp.constant(wp.float64(0.99999999))
 """Cosine of the angle up to which two planes count as equal.
@@ -36,7 +38,7 @@ SAME_DIRECTION = wp.constant(wp.float64(0.99999999))
 The angle is 1.4e-4 rad, which is larger than rounding errors.
 """
 SLACK = wp.constant(wp.float64(1.0e-3))
-"""Depth of free space that an earlier plane may exclude before it is dropped, in voxel sizes."""
+"""Depth of free space [voxel] that an earlier contact plane may exclude before it is dropped."""
 
 
 @wp.struct
@@ -50,9 +52,10 @@ class Shell:
 
 @wp.struct
 class Contacts:
-    """State of the contacts of a tool's shell points, and work arrays of the solver.
+    """Contact state of a tool's shell points, and work arrays of the contact solver.
 
-    A slot is a pair of a shell point and a solid, or of a shell point and a plane near voxels.
+    The arrays have one entry per slot. A slot is a pair (shell point, solid) or a pair (shell
+    point, plane near voxels).
     """
 
     slots: int  # a point
@@ -93,7 +96,7 @@ def forget(
     point: int,
     first: int,
 ):
-    """Drop all planes of a shell point that is no longer near voxels."""
+    """Drop all contact planes of a shell point that is no longer near voxels."""
     if wp.length_sq(plane_normal_out[point, 0]) > ZERO:
         for k in range(VOXEL_PLANES):
             plane_normal_out[point, k] = wp.vec3d()
@@ -102,7 +105,7 @@ def forget(
 
 @wp.func
 def keep_plane(contacts: Contacts, point: int, first: int):
-    """Keep the present plane of a point, and drop the earlier plane with the smaller force."""
+    """Replace the earlier plane with the smaller force by the present plane of a point."""
     k = int(1)
     if contacts.press[first + 1] > contacts.press[first + 2]:
         k = int(2)
@@ -123,10 +126,11 @@ def collect_voxels(
     step: wp.float64,
     found: int,
 ):
-    """Find the planes that bound one shell point near voxels.
+    """Find the planes that one shell point near voxels must stay above.
 
-    ``found`` is the number of planes so far. Return the new number of planes, the level of the
-    point [m], and the distance that is certainly free of obstacles [m].
+    ``found`` is the number of planes so far. Return the new number of planes, the level
+    (approximate distance) of the point [m], and the distance that is certainly free of obstacles
+    [m].
     """
     count = found
     far = voxel_clearance(field, at)
@@ -177,11 +181,12 @@ def collect(
 ):
     """Collect all planes that are closer than ``step`` [m] to a shell point.
 
-    Return the number of planes, the smallest gap [m], and the path length that is free for every
-    point [m].
+    Return the number of planes, the smallest gap [m], and the path length [m] that is free of
+    obstacles for every point.
 
-    A point that is far from all obstacles sleeps. It is checked early if it would limit the free
-    path length to less than ``wanted`` [m], but at most ``AHEAD`` step lengths early.
+    A point that is far from all obstacles sleeps, that is, it is not checked for some time. A
+    sleeping point is checked early if it would otherwise limit the free path length to less than
+    ``wanted`` [m], but at most ``AHEAD`` step lengths early.
     """
     early = wp.min(wanted, AHEAD * step)
     count = int(0)

@@ -1,10 +1,10 @@
-"""Steps of a proxy toward its device.
+"""Steps of a proxy, which is a copy of the tool, toward the pose of the haptic device.
 
-The proxy reduces the energy of the springs between proxy and device (a descent). A step is a motion
-that the contacts allow. A step may be shortened or undone.
+Each step reduces the energy of the springs between proxy and device. A step is a motion that the
+contacts allow. It may be shortened or undone.
 
-A pose is free if no point of the tool lies too deep in an obstacle. A trial pose is the last free
-pose, displaced by the motion of a step.
+A pose is free if no point of the tool lies too deep in an obstacle. A trial pose is the pose at the
+end of a step from the last free pose.
 
 Rotations are unit quaternions. Path lengths are upper bounds for all points of the tool.
 """
@@ -18,7 +18,7 @@ from kernels.proxy_forces import resolve
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 SMALL = wp.constant(wp.float64(1.0e-8))
-"""Angle [rad], or its sine, below which a ratio of sines is replaced by the limit of this ratio."""
+"""Angle [rad], or sine, below which a ratio of sines is replaced by its limit for angle 0."""
 
 
 @wp.func
@@ -53,7 +53,7 @@ def turn_between(start: wp.quatd, goal: wp.quatd):
 
 @wp.func
 def motion_length(shift: wp.vec3d, turn: wp.vec3d, reach: wp.float64):
-    """Return an upper bound of the path lengths [m] of all points of the tool during a motion.
+    """Return an upper bound [m] of the path length of any point of the tool during a motion.
 
     The points lie within ``reach`` [m] of the tool's origin.
     """
@@ -68,7 +68,7 @@ def pose_distance(
     goal: wp.quatd,
     reach: wp.float64,
 ):
-    """Return an upper bound of the path lengths [m] of all points of the tool to a goal pose.
+    """Return an upper bound [m] of the path length of any point of the tool to a goal pose.
 
     The points lie within ``reach`` [m] of the tool's origin.
 
@@ -81,17 +81,17 @@ def pose_distance(
 
 
 GOES_ON, AT_REST, OUT_OF_SOLVES = 0, 1, 2
-"""End states of a step: another step follows, the proxy rests, or too many systems were solved."""
+"""End states of a step: more steps follow, proxy at rest, too many linear systems solved."""
 STALLS = 2
 """Number of consecutive stalls after which the proxy may rest.
 
-A stall is a step that hardly decreases the energy of the springs. Stalls occur near voxels, where
-the proxy may oscillate across creases of the surface.
+A stall is a step that hardly decreases the energy of the springs between proxy and device. Stalls
+occur near voxels, where the proxy may oscillate across creases of the bone surface.
 """
 LITTLE = wp.constant(wp.float64(1.0e-4))
-"""Relative decrease of the springs' energy below which a step near voxels counts as a stall."""
+"""Relative decrease of the spring energy below which a step near voxels counts as a stall."""
 TOO_DEEP = wp.constant(wp.float64(0.1))
-"""Penetration of a point, relative to the step length, above which the step is undone."""
+"""Penetration of a tool point, relative to the step length, above which the step is undone."""
 
 
 @wp.struct
@@ -108,7 +108,7 @@ class DescentSettings:
 
 @wp.struct
 class Descent:
-    """Progress of the proxy's steps toward the device in a tick: poses, motion and counters."""
+    """Progress of the proxy toward the device in a tick: poses, motion and counters."""
 
     position: wp.vec3d  # last free pose that was found [m]
     rotation: wp.quatd
@@ -128,7 +128,7 @@ class Descent:
 
 @wp.struct
 class Reaction:
-    """Sum of the contact forces on the tool, divided by the coupling's stiffness."""
+    """Sum of the contact forces on the tool, divided by the stiffness of the coupling spring."""
 
     pressing: int
     force: wp.vec3d  # with friction [m]
@@ -140,7 +140,7 @@ class Reaction:
 
 @wp.func
 def first_touch(contacts: Contacts, count: int, shift: wp.vec3d, turn: wp.vec3d):
-    """Return the fraction of a motion after which the first plane is touched.
+    """Return the fraction of a motion after which the first contact plane is touched.
 
     The result is 2 if no plane is touched.
     """
@@ -154,7 +154,7 @@ def first_touch(contacts: Contacts, count: int, shift: wp.vec3d, turn: wp.vec3d)
 
 @wp.func
 def contact_sums(contacts: Contacts, members: int):
-    """Sum the normal forces of the planes in the active set.
+    """Sum the normal forces of the planes in the active set, that is, of the planes with force.
 
     Forces and moments are divided by the coupling's stiffness. Return the number of planes with
     force, the sum of the forces [m], the sum of the moments [m2], and the centre of pressure [m].
@@ -180,7 +180,7 @@ def contact_sums(contacts: Contacts, members: int):
 
 @wp.func
 def halve_motion(before: Descent, reach: wp.float64):
-    """Return a copy of a `Descent`, with half of its trial motion."""
+    """Return a copy of a `Descent` (progress of the proxy), with half of the trial motion."""
     descent = before
     descent.halvings = before.halvings + 1
     descent.arrived = 0
@@ -194,7 +194,7 @@ def halve_motion(before: Descent, reach: wp.float64):
 
 @wp.func
 def accept_trial(before: Descent, gap: wp.float64, step: wp.float64):
-    """Return a copy of a `Descent`, with its trial pose accepted as a free pose.
+    """Return a copy of a `Descent`, with the trial pose accepted as the last free pose.
 
     ``gap`` is the smallest gap [m] at the trial pose.
     """
@@ -218,8 +218,8 @@ def aim_at(
 
     At the goal, the spring force is zero.
 
-    The number of stalls is increased by one if the energy of the springs has hardly decreased.
-    Otherwise, the number is reset to 0.
+    If the energy of the springs has hardly decreased, the step is a stall, and the number of stalls
+    is increased by one. Otherwise, the number is reset to 0.
 
     If the obstacles have no voxels, ``spacing`` is 0 and no step counts as a stall.
     """
@@ -243,8 +243,8 @@ def react(
 ):
     """Compute the contact forces that act on the tool during a motion.
 
-    Return the sum of the forces, divided by the coupling's stiffness, and the number of linear
-    systems solved.
+    Return the sum of the forces, divided by the stiffness of the coupling spring, and the number of
+    linear systems solved.
     """
     reaction = Reaction()
     compliance = settings.compliance
@@ -279,11 +279,11 @@ def constrain_motion(
     settings: DescentSettings,
     gap: wp.float64,
 ):
-    """Change the motion of a `Descent` so that the contacts allow it.
+    """Change the motion of a `Descent` such that it does not violate the contacts.
 
-    With friction, a tool without contact first moves only up to the first plane, because friction
-    starts there. In this case, no contact forces are computed. Return the changed copy, the contact
-    forces, and a flag that is 1 if the contact forces were computed.
+    With friction, a tool without contact first moves only up to the first contact plane, because
+    friction starts there. Contact forces are not computed in this case. Return a changed copy of
+    the `Descent`, the contact forces, and a flag that is 1 if contact forces were computed.
     """
     descent = before
     if settings.friction > ZERO and last.pressing == 0 and gap > settings.tolerance:
@@ -301,7 +301,7 @@ def constrain_motion(
 
 @wp.func
 def next_trial(before: Descent, settings: DescentSettings, size: wp.float64, clear: wp.float64):
-    """Return a copy of a `Descent`, with the trial pose at the end of its motion.
+    """Return a copy of a `Descent`, with the trial pose at the end of the copy's motion.
 
     ``size`` is the length of the motion [m]. If ``size`` exceeds the free path length ``clear``
     [m], the motion is shortened to ``clear``.
@@ -333,7 +333,7 @@ def take_step(
     spacing: wp.float64,
     reach: wp.float64,
 ):
-    """Take one step from a free pose.
+    """Take one step of the proxy from a pose that is free of obstacles.
 
     Return the new `Descent`, the contact forces, and the end state of the step.
     """

@@ -1,25 +1,26 @@
 """Normal and friction forces that keep a rigid tool above planes, from an active-set method.
 
 The tool is held by a spring of stiffness k. A tool that may turn is also held by a rotational
-spring of stiffness k l^2, with a length l. Forces f_i at the arms r_i, here divided by k, displace
-the tool from the pose of zero spring force. The shift t and the turn w are ``t = t_free + sum f_i``
-and ``w = w_free + sum (r_i x f_i) / l^2``. This result follows from Gauss's principle of least
-constraint with the stiffness as metric (Ortega, Redon and Coquillart 2007, IEEE Trans. Vis. Comput.
-Graph. 13:458). The spring forces are therefore in equilibrium with the contact forces.
+spring of stiffness k l^2, with a length l. Let f_i be contact forces, divided by k, at the arms
+r_i. They displace the tool from the pose of zero spring force. The tool's shift is ``t = t_free +
+sum f_i``, and the tool's turn is ``w = w_free + sum (r_i x f_i) / l^2``. This result follows from
+Gauss's principle of least constraint with the stiffness as metric (Ortega, Redon and Coquillart
+2007, IEEE Trans. Vis. Comput. Graph. 13:458). At the displaced pose, the spring forces are in
+equilibrium with the contact forces.
 
 The normal forces are the Lagrange multipliers of this quadratic problem. In each iteration, the
 most violated plane joins the active set, and the linear system for the forces of this set is
-solved. A plane whose force would pull leaves the set (Lawson and Hanson 1974). A Gauss-Seidel
-method is not used, because it would need about (l / d)^2 sweeps for two contacts at a small
-distance d.
+solved. A plane whose force would pull on the tool leaves the set (Lawson and Hanson 1974). A
+Gauss-Seidel method is not used, because it would need about (l / d)^2 sweeps for two contacts at a
+small distance d.
 
-Friction: the friction of all contacts of a rigid tool is computed as one force.
+The friction of all contacts of the tool is computed as one force.
 
 The friction force acts at the centre of pressure, perpendicular to the resultant normal force. Its
 magnitude is at most ``mu`` times the sum of the normal forces. Below this limit, friction prevents
-any motion of the centre of pressure, and the normal forces adapt. At the limit, friction acts
-against the slip of the centre of pressure. Friction does not resist rotation about the normal of a
-contact patch.
+any motion of the centre of pressure, and the normal forces are computed accordingly. At the limit,
+friction acts against the slip of the centre of pressure. Friction does not resist rotation about
+the normal of a contact patch.
 """
 
 import warp as wp
@@ -32,7 +33,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 MEMBERS = 8
 """Largest number of planes in the active set.
 
-Six planes fix a rigid body, and one more plane may join before another plane leaves.
+Six planes fix a rigid body, and one more plane may join the set before another plane leaves.
 """
 ROUNDS = 64
 """Largest number of times that a plane joins the active set in one solve.
@@ -40,7 +41,7 @@ ROUNDS = 64
 The number is several times `MEMBERS`, because a plane may leave and join again.
 """
 TINY = wp.constant(wp.float64(1.0e-13))
-"""Relative increase of the matrix diagonal, so that linearly dependent planes can be solved."""
+"""Relative increase of the matrix diagonal, which regularises linearly dependent planes."""
 
 
 @wp.func
@@ -75,8 +76,8 @@ def solve_set(
 
     The forces are written to a ``column`` of ``contacts.side``.
 
-    If ``gaps`` is 1, the forces also close the gaps of the planes. If ``gaps`` is 0, the gaps are
-    ignored.
+    If ``gaps`` is 1, the forces also close the gaps between the planes and their points. If
+    ``gaps`` is 0, the gaps are ignored.
     """
     for i in range(members):
         c = contacts.member[i]
@@ -98,7 +99,7 @@ def solve_set(
 
 @wp.func
 def drop_member(contacts: Contacts, members: int, place: int):
-    """Remove a plane from the active set, and return the number of remaining planes."""
+    """Remove a plane from the active set (planes with force), and return the remaining number."""
     c = contacts.member[place]
     contacts.press[contacts.slot[c]] = ZERO
     contacts.chosen[c] = 0
@@ -112,7 +113,7 @@ def shrink_set(
 ):
     """Compute the normal forces that close the gaps of the planes in the active set.
 
-    Planes whose force would pull are removed from the set one by one.
+    Planes whose force would pull on the tool are removed from the set one by one.
 
     Return the number of planes in the set and the number of linear systems solved.
     """
@@ -151,7 +152,7 @@ def shrink_set(
 def moved_by_set(
     contacts: Contacts, members: int, compliance: wp.float64, shift: wp.vec3d, turn: wp.vec3d
 ):
-    """Compute the shift and turn of the tool under the normal forces of the active set."""
+    """Compute the tool's shift and turn under the normal forces of the planes in the active set."""
     moved = shift
     turned = turn
     for m in range(members):
@@ -206,19 +207,20 @@ def normal_forces(
 FRICTION_ROUNDS = 4
 """Largest number of rounds in which friction and normal forces are computed alternately."""
 STEPS = 50
-"""Largest number of iterations that adapt the friction force and its upper bound to each other.
+"""Largest number of iterations for the friction force and the upper bound of this force.
 
 The bound depends on the normal forces, and the normal forces depend on friction.
 """
 NEWTON_STEPS = 30
-"""Largest number of Newton steps, which start below the solution and converge quadratically."""
+"""Largest number of Newton steps in `slipping_force`, which converge quadratically."""
 SOFT = wp.constant(wp.float64(1.0e-11))
-"""Compliance added to a point that planes may hold; a free point has a compliance of about 1.
+"""Compliance that is added at a point, because planes may hold the point fixed.
 
-Without this addition, the friction at a held point would not be determined.
+At a point without compliance, the friction force would not be determined. For comparison, a free
+point has a compliance of about 1.
 """
 EXACT = wp.constant(wp.float64(1.0e-13))
-"""Relative change of the bound of the friction force at which the iteration ends."""
+"""Relative change of the friction force's upper bound at which the iteration ends."""
 
 
 @wp.func
@@ -250,7 +252,7 @@ def slipping_force(
     v1: wp.float64,
     bound: wp.float64,
 ):
-    """Compute the friction force of magnitude ``bound`` against the slip that remains.
+    """Compute the friction force of magnitude ``bound`` that acts against the remaining slip.
 
     The solution uses Newton's method on reciprocals (More and Sorensen 1983).
     """
@@ -280,8 +282,8 @@ def friction_force(
 ):
     """Compute the friction force of the active set, and the arm at which this force acts.
 
-    The arm is relative to the tool's origin. The solution accounts for the change of the normal
-    forces, which depend linearly on the friction force.
+    The arm is the vector from the tool's origin. The method accounts for the fact that the normal
+    forces depend linearly on the friction force.
     """
     total = wp.float64(0.0)
     along = wp.vec3d()
@@ -352,9 +354,9 @@ def resolve(
 ):
     """Compute the normal and friction forces of all contacts.
 
-    Forces are divided by the coupling's stiffness. Return the number of planes in the active set,
-    the number of linear systems solved, the friction force [m] and the arm of this force [m]. The
-    normal forces are written to ``contacts.press``.
+    Forces are divided by the stiffness of the coupling spring. Return the number of planes in the
+    active set, the number of linear systems solved, the friction force [m], and the arm [m] at
+    which the friction force acts. The normal forces are written to ``contacts.press``.
     """
     members = int(0)
     for c in range(count):

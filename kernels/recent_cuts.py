@@ -1,9 +1,9 @@
 """Most recent cuts, computed from the tool's last poses.
 
-The poses are exact up to rounding errors, so the surface of these cuts is more accurate than the
-surface stored in the voxels. Let an earlier pose be displaced by d from the present pose. In front
-of a cutting element with the normal n and the mean curvature k, the tool has then removed the bone
-up to this distance::
+The tool's last poses are exact up to rounding errors, so the computed surface of the most recent
+cuts is more accurate than a surface from voxels. Let d be the displacement from the present pose to
+an earlier pose. In front of a cutting element with the normal n and the mean curvature k, the tool
+at the earlier pose has removed the bone up to this distance::
 
     d . n - k / 2 |d - (d . n) n|**2
 
@@ -41,10 +41,10 @@ def poses_in_front(
     last: int,
     turns: bool,
 ):
-    """Return the range of earlier poses at which the tool may have cut farther than at present.
+    """Return the range of earlier poses at which the tool may have cut farther than now.
 
     A pose is included if an element of the chunk may have been farther along its normal than at the
-    present pose. If the tool has turned, all poses are included. For a tool that only advances, the
+    present pose. If the tool has turned, all poses are included. If the tool only advances, the
     range is empty.
     """
     poses = Poses()
@@ -81,10 +81,10 @@ def recently_cut(
     poses: Poses,
     enough: float,
 ):
-    """Compute how far in front of eight elements the tool has cut at its last poses [m].
+    """Compute how far [m] in front of eight elements the tool has cut at earlier poses.
 
-    The result for an element is 0 if the present pose has cut farthest. When the results for all
-    eight elements exceed ``enough`` [m], the remaining poses are skipped.
+    If the tool cuts farthest at the present pose, the result for the element is 0. When the results
+    for all eight elements exceed ``enough`` [m], the remaining poses are skipped.
     """
     gap = lanes8()
     if poses.first >= poses.last:
@@ -119,7 +119,7 @@ def recently_cut(
 
 @wp.func
 def cut_straight(recent: Singles2D, j: int, nx: lanes8, ny: lanes8, nz: lanes8, half: lanes8):
-    """Compute how far in front of eight elements a tool without rotation cut at pose ``j`` [m]."""
+    """Compute how far [m] in front of eight elements a tool without rotation cut at pose ``j``."""
     mx = recent[j, 0]
     my = recent[j, 1]
     mz = recent[j, 2]
@@ -139,7 +139,7 @@ def cut_turned(
     nz: lanes8,
     half: lanes8,
 ):
-    """Compute how far in front of eight elements a tool with rotation cut at pose ``j`` [m]."""
+    """Compute how far [m] in front of eight elements a tool with rotation cut at pose ``j``."""
     mx = recent[j, 0]
     my = recent[j, 1]
     mz = recent[j, 2]

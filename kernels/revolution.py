@@ -10,8 +10,8 @@ from kernels.arrays import Doubles2D, Singles2D
 EDGE_BEND = 8.0
 """Value of `Revolution.bend` that marks an edge of the tool's profile.
 
-The bend is a sixth of the sum of the principal curvatures. Near an edge, no single plane
-approximates the tool's surface in a block of voxels, so a special value is stored.
+The bend is a sixth of the sum of the principal curvatures. Near an edge, the tool's surface in a
+block of voxels cannot be approximated by one plane. This special value marks such places.
 
 The bend of a smooth surface is always smaller. Even a ball with a radius of one voxel, which is
 smaller than any tool, has a bend of 1/3.
@@ -38,7 +38,7 @@ class Revolution:
 
 @wp.struct
 class Nearest:
-    """Distance, gradient and bend of the tool at its surface point nearest to a given point."""
+    """Distance of a point from the tool, with the gradient, and the bend of the tool's surface."""
 
     distance: wp.float32  # signed distance [voxel]
     # average contribution of curvature in a block of 2 voxels and inside each voxel [voxel]
@@ -50,17 +50,17 @@ class Nearest:
 
 @wp.func
 def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
-    """Return distance, gradient and bend of the tool at the surface point nearest to a given point.
+    """Return the distance of a point from the tool, the gradient, and the bend of the surface.
 
-    ``offset`` [voxel] is the vector from the tool's tip to the given point, and ``axis`` is the
-    direction of the tool's axis.
+    ``offset`` [voxel] is the vector from the tool's tip to the point, and ``axis`` is the direction
+    of the tool's axis.
 
     Distance and gradient are interpolated bilinearly in the table. The bend is not interpolated.
 
-    The bend (k1 + k2) / 6, with the principal curvatures k1 and k2, is the sum of two corrections.
-    In a block of 2 x 2 x 2 voxels, the distances of voxel centres exceed their distances to the
-    tangent plane by (k1 + k2) / 8 on average. The mean distance over a voxel exceeds the distance
-    at the voxel's centre by (k1 + k2) / 24.
+    The bend is (k1 + k2) / 6, with the principal curvatures k1 and k2 of the tool's surface. It is
+    the sum of two corrections. First, in a block of 2 x 2 x 2 voxels, the distance of a voxel
+    centre from the tool exceeds that from the tangent plane by (k1 + k2) / 8 on average. Second,
+    the mean distance over a voxel exceeds the distance at the voxel's centre by (k1 + k2) / 24.
     """
     height = wp.dot(offset, axis)
     outward = offset - height * axis
@@ -89,8 +89,8 @@ def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
 def offset_from(pose: Doubles2D, row: int, ix: int, iy: int, iz: int):
     """Return the vector [voxel] from the tool's tip to the lowest corner of voxel (ix, iy, iz).
 
-    The lowest corner has the smallest x, y and z. The tip is read from a ``row`` of ``pose``. The
-    difference is computed in double precision and returned in single precision.
+    The lowest corner has the smallest x, y and z. The tip's position is read from ``row`` of
+    ``pose``. The difference is computed in double precision and returned in single precision.
     """
     return wp.vec3(
         float(wp.float64(ix) - pose[row, 0]),

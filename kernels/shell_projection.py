@@ -13,15 +13,15 @@ from kernels.contact_state import NEARBY, Body, Lists, Points, pose_of
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 TWICE = wp.constant(wp.float64(2.0))
-"""Upper bound of the distance between two points of a triangle, in radii of the ball around it."""
+"""Upper bound of the distance between two points of a triangle, in radii of its bounding ball."""
 GRAZING = wp.constant(wp.float64(0.1))
 """Smallest cosine between a shell point's normal and the inward triangle normal for a contact.
 
-The cosine belongs to an angle of 84 degrees. At this angle, the distance from the point to the
-plane of the triangle, along the point's normal, is ten times the perpendicular distance.
+The angle is 84 degrees. At this angle, the distance from the point to the triangle's plane is ten
+times as long along the point's normal as along the perpendicular.
 """
 EDGE = wp.constant(wp.float64(-1e-9))
-"""Smallest barycentric weight of a point that belongs to a triangle.
+"""Smallest barycentric weight at which a point is treated as a point of the triangle.
 
 The value is slightly negative, so a point on an edge belongs to the triangles on both sides of the
 edge.
@@ -45,8 +45,8 @@ def project_shell(
 ):
     """Project every shell point onto the nearest triangle that the line along its normal crosses.
 
-    The distance along the normal must be less than ``reach`` plus the motion of the point since the
-    last tick. ``reach`` is the radius of the largest triangle [m].
+    The distance along the normal must be less than ``reach`` plus the motion of the shell point
+    since the last tick (1 ms step). ``reach`` is the radius of the largest triangle [m].
     """
     i = wp.tid() + offset
     pose = pose_of(pose_rows)

@@ -1,11 +1,11 @@
-"""Penetration depth of a tool of revolution into a structure with a closed triangle surface.
+"""Penetration depth of a tool, a body of revolution, in a structure with a closed surface.
 
 The tool is the union of its largest inscribed balls. If the centre of a ball lies in the structure,
 the depth of the ball is its radius plus the depth of its centre. The centres of all balls form the
-medial axis of the tool, which is divided into cells. A cell is a part of a segment of the medial
-axis of the tool's half section, rotated by a range of angles around the tool's axis. A
-branch-and-bound search over the cells finds the deepest ball, with an error of at most
-`DEPTH_TOLERANCE_M`, unless the search is long (`kernels.tool_distance.widened`).
+tool's medial axis, which is divided into cells. A cell is a part of a segment of the medial axis in
+the tool's half section, rotated around the tool's axis by a range of angles. A branch-and-bound
+search over the cells finds the deepest ball, with an error of at most `DEPTH_TOLERANCE_M`, unless
+the search is long (`kernels.tool_distance.widened`).
 """
 
 import warp as wp
@@ -17,37 +17,39 @@ from kernels.tool_distance import nearest_on_triangle, widened
 wp.set_module_options({"enable_backward": False})
 
 DEPTH_TOLERANCE_M = wp.constant(wp.float64(3.0e-6))
-"""Largest accepted difference between the smallest distance and its lower bound [m]."""
+"""Largest accepted difference [m] between the smallest signed distance and its lower bound."""
 CELLS = wp.constant(128)
-"""Number of rows of the stack of cells.
+"""Number of rows of the search stack.
 
-The stack holds the cells that remain to be searched. Each halving of a cell adds one row. 30
-halvings reduce both sides of a cell from 30 mm to about a micrometre.
+The search stack holds the cells that remain to be searched, where a cell is a part of the tool's
+medial axis. Each halving of a cell adds one row. Thirty halvings reduce both sides of a cell from
+30 mm to about a micrometre.
 """
 CELL_COLUMNS = wp.constant(6)
 DOUBLING = wp.constant(2000)
-"""Number of evaluated cells that double the tolerance of a long search.
+"""Number of evaluated cells after which the tolerance of a long search doubles.
 
-A cell takes up to 0.3 ms, so the tolerance grows faster than in `kernels.structure_distance`.
+A cell is a part of the tool's medial axis. The evaluation of a cell takes up to 0.3 ms, so the
+tolerance must grow faster than in `kernels.structure_distance`.
 """
 FAR_M = wp.constant(wp.float64(1.0e3))
-"""Range of the search for the nearest point [m]. Every structure lies within this range."""
+"""Range [m] of the search for the nearest surface point, larger than any structure."""
 NEAR_M = wp.constant(wp.float64(1.0e-6))
 """Distance [m] from a surface below which the direction to the surface is not accurate."""
 OUTSIDE_SIZES = wp.constant(wp.float64(16.0))
 """Distance from the structure's surface to an auxiliary point outside the structure, in cell sizes.
 
-A bound for the balls of a cell is computed from the distance of this point. If the space outside
-the structure is large enough, the bound is below the true distance by about a 32nd of the cell
-size.
+From the distance of this point, a bound for the balls of a cell (part of the tool's medial axis) is
+computed. If the space outside the structure is large enough, the bound is below the true distance
+by about 1/32 of the cell size.
 """
 HULL = wp.constant(8)
-"""Number of corners of the hull around a cell, see `hull_corner`."""
+"""Number of corners of the hull around a cell of the medial axis, see `hull_corner`."""
 WIDE_RAD = wp.constant(wp.float64(1.0))
-"""Smallest half angle [rad] at which the bound of a cell is computed only from the cell's size.
+"""Smallest half angle [rad] of a cell whose bound is computed only from the cell's size.
 
-For larger angles, the hull is too coarse: at this angle, its corners on the tangents have 1.85
-times the radius of the cell.
+For larger angles, the hull around the cell is too coarse. At this angle, the distance of hull
+corners on tangents from the tool's axis is 1.85 times the radius of the cell.
 """
 
 
@@ -80,7 +82,7 @@ def is_in_structure(mesh: wp.uint64, point: wp.vec3d):
 
 @wp.func
 def nearest_on_surface(mesh: wp.uint64, point: wp.vec3d):
-    """Return the distance of `point` from the surface, the nearest surface point, and its face."""
+    """Return the distance of `point` from the surface, the nearest surface point and its face."""
     at = wp.vec3(point)
     query = wp.mesh_query_point_no_sign(mesh, at, float(FAR_M))
     foot = wp.vec3d(wp.mesh_eval_position(mesh, query.face, query.u, query.v))
@@ -96,11 +98,12 @@ def hull_corner(
     half_angle: wp.float64,
     k: int,
 ):
-    """Return corner `k` of a hull around the ball centres of a cell, and the ball radius there.
+    """Return corner `k` of the hull around a cell of the medial axis, and the ball radius there.
 
-    The ball centres at each end of the cell's segment form an arc around the tool's axis. For each
-    of the two arcs, the hull has corners at the ends of the arc and on the tangent at its middle. A
-    concave function of centre and ball radius has its smallest value at a corner of the hull.
+    The hull encloses the ball centres of the cell. The ball centres at each end of the cell's
+    segment form an arc around the tool's axis. For each of the two arcs, the hull has corners at
+    the ends of the arc and on the tangent at its middle. A concave function of centre and ball
+    radius has its smallest value at a corner of the hull.
     """
     ball = wp.where(k < 4, start, end)
     turned = angle + wp.where(k % 2 == 0, -half_angle, half_angle)
@@ -136,8 +139,8 @@ def cell_bounds(
     surface [m].
 
     `before` is the known signed distance of another point from the surface, and `moved` is the
-    distance from this point to the middle of the cell. Once the lower bound is at least `wanted`,
-    the bound is not improved further.
+    distance from this point to the middle of the cell. When the lower bound reaches `wanted`, the
+    function stops improving the bound.
     """
     middle = HALF * (start + end)
     centre = in_structure(motion, middle[0], angle, middle[1])
@@ -215,10 +218,11 @@ def over_balls(
     # start and end as fractions of the segment, angle, half angle, bound, signed distance
     cells: Doubles2D,
 ):
-    """Compute a lower bound of the smallest signed distance [m] between structure and tool's balls.
+    """Compute a lower bound [m] of the smallest signed distance between structure and balls.
 
-    The result is at most `best`. Only balls whose centre lies in the structure are included. On
-    segments that `medial.across` marks, balls with centres outside are also included.
+    The balls are the inscribed balls of the tool. Only balls whose centre lies in the structure are
+    included. On segments that `medial.across` marks, balls with centres outside are also included.
+    The result is at most `best`.
     """
     smallest = best
     lowest = best

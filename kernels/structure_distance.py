@@ -2,10 +2,10 @@
 
 The structure is a closed triangle surface. A branch-and-bound search over a tree of boxes, and then
 over halves of triangles, finds the point of the structure's surface with the smallest distance from
-the tool. The error is at most `TOLERANCE_M`, unless the search is long (`widened`). If tool and
-structure overlap, `kernels.structure_depth` computes the penetration depth.
+the tool. The error is at most `TOLERANCE_M`, unless the search is long (`widened`). If the tool
+overlaps the structure, `kernels.structure_depth` computes the penetration depth.
 
-Clearance: a second kernel computes the distance between a tool's surface and another body, by
+The kernel `clearance` computes the distance between a tool's surface and another body, by
 interpolation in a grid of distances.
 """
 
@@ -20,16 +20,16 @@ from kernels.tool_distance import TOLERANCE_M, Outline, bounds_over, distance_to
 wp.set_module_options({"enable_backward": False})
 
 NODES, TRIANGLES = wp.constant(256), wp.constant(256)
-"""Number of rows of the stack of tree nodes, and of the stack of triangles."""
+"""Numbers of rows of two search stacks: stack of tree nodes, and stack of triangles."""
 DOUBLING = wp.constant(10000)
-"""Number of evaluations that double the tolerance of a long search.
+"""Number of distance evaluations after which the tolerance of a long search doubles.
 
-For a 3.2 mm drill on the axis of a tube of 51,000 triangles, the error is 0.001 mm and the time of
-a tick 3 ms. For 205,000 triangles, the error is 0.13 mm and the time 9 ms. With 2,000 evaluations
-instead, they are 0.48 mm and 4 ms.
+Consider a 3.2 mm drill on the axis of a tube. For a tube of 51,000 triangles, the error is 0.001
+mm, and a tick takes 3 ms. For 205,000 triangles, the error is 0.13 mm, and a tick takes 9 ms. With
+a value of 2,000 instead, the latter error is 0.48 mm, and the tick takes 4 ms.
 """
 LEAF = wp.constant(4)
-"""Number of triangles in a leaf of the tree. It must agree with `meshes.surfaces.box_tree`."""
+"""Number of triangles in a leaf of the tree, equal to `meshes.surfaces.box_tree.LEAF`."""
 
 
 @wp.struct
@@ -53,7 +53,7 @@ def smallest_in_triangle(
     stack: Vectors2D,
     bound: Doubles,
 ):
-    """Find the smallest distance between the tool and a triangle, but at most `best`.
+    """Find the smaller of `best` and the smallest distance between the tool and a triangle.
 
     Return the distance [m], the number of evaluations so far, and the smallest lower bound of the
     parts of the triangle that were not searched.
@@ -222,7 +222,7 @@ def distance_to_structure(
     # out
     distance_out: Doubles,  # [m], negative where tool and structure overlap
 ):
-    """Compute a lower bound of the signed distance between tool and structure, in one thread."""
+    """Compute a lower bound [m] of the signed distance between a tool and a structure."""
     smallest = over_surface(
         outline, tree, motion, last_leaf_out, nodes_out, node_bounds_out, stack_out, bounds_out
     )
@@ -235,7 +235,7 @@ def distance_to_structure(
 
 @wp.func
 def clipped(distance: Singles3D, i: int, j: int, k: int):
-    """Return the stored distance [m] at voxel (i, j, k).
+    """Return the stored distance [m] at grid voxel (i, j, k).
 
     Outside the grid, the nearest voxel of the grid is used.
     """

@@ -3,14 +3,14 @@
 The solver is a nonlinear Gauss-Seidel iteration on one thread.
 
 The unknowns are the forces at contact points. The position of a contact point is given by
-barycentric weights on its triangle. For one triangle after another, the forces at its contact
-points are solved (``kernels.contact_state``). The tool's distance and normal are evaluated at the
-present position of the point, so no outer loop over normals is needed. The change dF_a of the force
-at each node a of the triangle then changes the displacements of all loaded nodes,
-``u_b += W_ba dF_a`` (``kernels.near_compliance``). Only working triangles are solved, that is,
-triangles that touch the tool or carry force. When the contact points no longer move, all other
-triangles near the tool are checked. Triangles that the tool would penetrate become working
-triangles.
+barycentric weights on its triangle. The solver visits one triangle after another, and solves the
+forces at the triangle's contact points (``kernels.contact_state``). The tool's distance and normal
+are evaluated at the present position of each contact point, so no outer loop over normals is
+needed. The change dF_a of the force at each node a of the triangle then changes the displacements
+of all loaded nodes, ``u_b += W_ba dF_a`` (``kernels.near_compliance``). Only working triangles are
+solved, that is, triangles that touch the tool or carry force. When the contact points no longer
+move, the other triangles near the tool are checked. If the tool would penetrate a triangle, this
+triangle becomes a working triangle.
 """
 
 import warp as wp
@@ -64,7 +64,7 @@ def turn_of(
     friction: wp.float64,
     triangle: int,
 ):
-    """Solve the forces at the contact points of a triangle, one point after another.
+    """Solve the contact forces of one triangle, one contact point after another.
 
     Return the largest change of the position of a contact point [m], and the largest displacement
     of the triangle's nodes before this change [m].
@@ -115,7 +115,7 @@ def turn_of(
 def sum_loads(body: Body, points: Points, lists: Lists, patch: Patch):
     """Recompute the nodal forces and displacements from the forces at the contact points.
 
-    Rounding errors would accumulate if only changes of force were added.
+    The recomputation removes rounding errors, which accumulate when only changes are added.
     """
     for k in range(patch.count[LOADED]):
         body.force[patch.node[k]] = wp.vec3d()
@@ -146,8 +146,8 @@ def report(
 ):
     """Compute and write the results, such as the force and torque on the tool and the end state.
 
-    If the body cannot yield at a point and the tool penetrates it there by more than ``slack`` [m],
-    the end state DONE is changed to IMMOVABLE.
+    If the tool penetrates the body by more than ``slack`` [m] at a rigid point, the end state DONE
+    is changed to IMMOVABLE. At a rigid point, the compliance along the normal is zero.
     """
     force = wp.vec3d()
     torque = wp.vec3d()

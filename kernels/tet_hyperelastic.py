@@ -1,24 +1,25 @@
 """Energy, force and tangent stiffness of tetrahedra of any order, for laws of principal stretches.
 
-The laws are defined in ``tissue.materials.hyperelasticity``, with moduli relative to a cell's shear
-modulus mu. At a quadrature point, the deformation gradient is ``F = U diag(l) V^T``
-(``kernels.tet_nonlinear``). The isochoric stretches are ``b_i = l_i J^(-1/3)``. With
-``S(alpha) = sum_i b_i^alpha`` and ``x = S(2) - 3``, the energy density is:
+The material laws are defined in ``tissue.materials.hyperelasticity``, with moduli relative to a
+cell's shear modulus mu. At a quadrature point, the deformation gradient is ``F = U diag(l) V^T``
+(``kernels.tet_nonlinear``). The principal stretches are l_i, their product is J, and the isochoric
+stretches are ``b_i = l_i J^(-1/3)``. With ``S(alpha) = sum_i b_i^alpha`` and ``x = S(2) - 3``, the
+energy density is:
 
     psi = mu (sum_p (2 s_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k
         + sum_e (s_e / (2 b_e)) (exp(b_e x) - 1)) + (kappa / 4) (J^2 - 1 - 2 ln J)
 
-The coefficients s_p, alpha_p, c_k, s_e and b_e define a law. The stretches are l_i, and kappa is
-the bulk modulus. The neo-Hookean law has only one term of the first sum, with the exponent 2.
+The coefficients s_p, alpha_p, c_k, s_e and b_e define a law, and kappa is the bulk modulus. The
+neo-Hookean law has only one term of the first sum, with the exponent 2.
 
-Stress and tangent follow from the derivatives of psi with respect to ``ln l_i``, in the frames U
-and V. The energy of an inverted cell is infinite.
+Stress and tangent are computed in the frames U and V, from the derivatives of psi with respect to
+``ln l_i``. The energy of an inverted cell is infinite.
 
-The second derivative of psi with respect to F has nine eigenvalues. Three of them belong to changes
-of the stretches, and are the eigenvalues of a 3 x 3 matrix. The other six belong to the symmetric
-and the antisymmetric shear of each of the three pairs of axes (Smith, De Goes and Kim 2019, ACM
-Trans. Graph. 38:3). In the positive definite tangent, each eigenvalue is replaced by its magnitude
-(Chen et al. 2024, SIGGRAPH).
+The second derivative of psi with respect to F has nine eigenvalues. Three of these eigenvalues
+belong to changes of the stretches, and are the eigenvalues of a 3 x 3 matrix. The remaining six
+belong to shear: symmetric and antisymmetric shear in each of the three planes between two axes
+(Smith, De Goes and Kim 2019, ACM Trans. Graph. 38:3). In the positive definite tangent, each
+eigenvalue is replaced by its magnitude (Chen et al. 2024, SIGGRAPH).
 """
 
 import warp as wp
@@ -39,7 +40,7 @@ from kernels.tet_nonlinear import deformation, gradient_of
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 SWEEPS = wp.constant(12)
-"""Largest number of Jacobi sweeps over the three pairs of axes. About five are needed."""
+"""Largest number of sweeps of Jacobi's eigenvalue method. About five sweeps are needed."""
 EQUAL = wp.constant(wp.float64(1.0e-5))  # as in tissue.materials.hyperelasticity
 LEAST = wp.constant(wp.float64(1.0e-3))
 """Smallest eigenvalue of the positive definite tangent, relative to the shear modulus."""
@@ -57,8 +58,9 @@ def removed(
 ):
     """Eliminate an off-diagonal entry of a symmetric 3 x 3 matrix by a rotation of two axes.
 
-    ``across`` and ``other`` are the entries that couple the two axes ``u`` and ``v`` to the third
-    axis. Return the new diagonal entries, the new couplings to the third axis, and the new axes.
+    The rotation turns the axes ``u`` and ``v``. ``across`` and ``other`` are the matrix entries
+    that couple these two axes to the third axis. Return the new diagonal entries, the new values of
+    ``across`` and ``other``, and the new axes.
     """
     t = ZERO
     if off != ZERO:
@@ -80,7 +82,7 @@ def removed(
 
 @wp.func
 def stretches_of(f: wp.mat33d):
-    """Compute the stretches and the frame V of a deformation gradient F with det F > 0.
+    """Compute the principal stretches and their axes V for a deformation gradient F, det F > 0.
 
     The method is Jacobi rotations of F^T F (Golub and Van Loan 8.5). The code computes each entry
     separately, because matrix products take three times as long.
@@ -111,7 +113,7 @@ def stretches_of(f: wp.mat33d):
 
 @wp.func
 def power_sum(isochoric: wp.vec3d, alpha: wp.float64):
-    """Compute S(alpha) - 3, and its first and second derivatives with respect to log stretches.
+    """Compute S(alpha) - 3, with first and second derivatives with respect to log stretches.
 
     S(alpha) is the sum of the isochoric stretches, each raised to the power alpha.
     """
@@ -136,7 +138,7 @@ def derivatives(
     powers: Doubles,
     exponentials: Doubles2D,
 ):
-    """Compute the energy density [Pa] and its first two derivatives by the log stretches."""
+    """Compute the energy density [Pa] and its first and second derivatives by log stretches."""
     j = stretch[0] * stretch[1] * stretch[2]
     isochoric = stretch / wp.pow(j, ONE / THREE)
     energy = wp.float64(0.25) * bulk * (j * j - ONE - TWO * wp.log(j))
@@ -193,7 +195,7 @@ def stretch_force(
     energy_out: Doubles,  # [cell] [J]
     force_out: Vectors2D,  # [cell, node of the cell], derivative of the energy [N]
 ):
-    """Compute the energy of each cell, and its derivative with respect to node positions."""
+    """Compute the energy of each cell, and the energy's derivative by node positions."""
     cell = wp.tid() + offset
     for a in range(nodes.shape[1]):
         force_out[cell, a] = wp.vec3d()
@@ -228,7 +230,7 @@ def at_least(value: wp.float64, smallest: wp.float64):
 
 @wp.func
 def definite(matrix: wp.mat33d, smallest: wp.float64):
-    """Make a symmetric matrix positive definite: replace its eigenvalues by their magnitudes.
+    """Make a symmetric matrix positive definite by replacing eigenvalues by their magnitudes.
 
     Magnitudes below ``smallest`` are replaced by ``smallest``.
     """
@@ -243,11 +245,11 @@ def definite(matrix: wp.mat33d, smallest: wp.float64):
 def pair_moduli(
     stretch: wp.vec3d, first: wp.vec3d, second: wp.mat33d, is_definite: int, smallest: wp.float64
 ):
-    """Compute the moduli that couple the shear F_ij with itself and with the shear F_ji.
+    """Compute the tangent moduli that couple each shear F_ij with itself and with the shear F_ji.
 
     ``first`` and ``second`` are the derivatives of the energy density with respect to the
-    stretches. Return two symmetric matrices, one for each kind of coupling. Their diagonals are not
-    used.
+    stretches. Return two symmetric matrices, one for each of the two couplings. The diagonals of
+    the matrices are not used.
     """
     along = wp.mat33d()
     across = wp.mat33d()

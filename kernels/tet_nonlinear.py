@@ -1,25 +1,25 @@
 """Energy, force and tangent stiffness of tetrahedra of any order under large deformation.
 
-The deformation gradient at a quadrature point is ``F = sum x_a g_a^T``. Here
-``g_a = sum_c reference[q, a, c] grad L_c`` is the gradient of node a's shape function, and ``L_c``
-are the barycentric coordinates of the undeformed corners. With the first Piola-Kirchhoff stress
-``P = d psi / dF``, the force is ``f_a = sum_q w P g_a``, where w is the volume that quadrature
-point q represents. The tangent stiffness is ``K_ab = d f_a / d x_b``. The module has three laws for
+The deformation gradient at a quadrature point is ``F = sum x_a g_a^T``. Here ``g_a = sum_c
+reference[q, a, c] grad L_c`` is the gradient of node a's shape function, and ``L_c`` are the
+barycentric coordinates of the undeformed corners. With the first Piola-Kirchhoff stress ``P = d psi
+/ dF``, the force is ``f_a = sum_q w P g_a``, where w is the volume that the quadrature point q
+represents. The tangent stiffness is ``K_ab = d f_a / d x_b``. The module contains three laws for
 the energy density psi:
 
 linear          psi = mu e:e + (lambda/2) (tr e)^2,              e = sym(F) - I
 corotational    psi = mu |F - R|^2 + (lambda/2) (tr S - 3)^2,    F = R S, R the rotation, S = S^T
 neo-Hookean     psi = (mu/2) (|F|^2 - 3) - mu ln J + (lambda/2) (ln J)^2,   J = det F
 
-The neo-Hookean law of this module differs from the neo-Hookean law in ``kernels.tet_hyperelastic``,
-which separates the change of volume from the change of shape. At small strain, both neo-Hookean
-laws have the moduli of the linear law.
+The neo-Hookean law of this module does not separate the change of volume from the change of shape,
+unlike that in ``kernels.tet_hyperelastic``. At small strain, the two neo-Hookean laws have the same
+moduli as the linear law.
 
 The corotational law is the linear law in the rotated frame. The tangent of the corotational law
-includes the derivative of the rotation: ``(tr S I - S) w = axial(R^T dF - dF^T R)`` with
-``R^T dR = [w]x``. The neo-Hookean law follows Bonet and Wood 2008, Nonlinear Continuum Mechanics.
-All three laws have the same small-strain limit. The energy of an inverted cell (J <= 0) is
-infinite, except with the linear law.
+includes the derivative of the rotation: ``(tr S I - S) w = axial(R^T dF - dF^T R)`` with ``R^T dR =
+[w]x``. The neo-Hookean law follows Bonet and Wood 2008, Nonlinear Continuum Mechanics. All three
+laws are equal in the limit of small strain. The energy of an inverted cell (J <= 0) is infinite,
+except with the linear law.
 """
 
 import warp as wp
@@ -119,7 +119,7 @@ def tet_force(
     energy_out: Doubles,  # [cell] [J]
     force_out: Vectors2D,  # [cell, node of the cell], derivative of the energy [N]
 ):
-    """Compute the energy of each cell, and its derivative with respect to node positions."""
+    """Compute the energy of each cell, and the energy's derivative by node positions."""
     cell = wp.tid() + offset
     lam = lame[cell, 0]
     mu = lame[cell, 1]

@@ -1,29 +1,31 @@
 """Stiffness and stress of straight-sided tetrahedra.
 
 The gradients g_c of the barycentric coordinates are constant in a cell. For a pair of shape
-functions A and B, the exact integral of ``grad A (grad B)^T`` is ``S = V sum_cd w_cd g_c g_d^T``. V
-is the volume of the cell, and the weights w_cd depend only on the pair. The stiffness block of the
-pair is linear in S::
+functions A and B, the exact integral of ``grad A (grad B)^T`` over a cell is ``S = V sum_cd w_cd
+g_c g_d^T``. V is the volume of the cell, and the weights w_cd depend only on the pair of shape
+functions. The stiffness block of the pair is linear in S::
 
     K_AB[i, j] = sum_pq C[ip, jq] S[p, q]            any material
     K_AB = lambda S + mu S^T + mu tr(S) I            isotropic
 
-Quadratic cells lock (become too stiff) as lambda / mu increases. For a part of lambda,
-``softened``, the matrix ``M = V mean(grad A) mean(grad B)^T`` is therefore used instead of S. This
-part of lambda only resists the mean volume change of a cell::
+Quadratic cells lock (become too stiff) as lambda / mu increases. Lambda is therefore split into two
+parts. For the part ``softened``, the matrix ``M = V mean(grad A) mean(grad B)^T`` is used instead
+of S. This part only resists the mean volume change of a cell::
 
     K_AB = K_AB - softened (S - M)
 
-For each pair of nodes, one thread sums the cells in fixed order and writes the sum and its
-transpose. The matrix is therefore symmetric to the last bit, on any number of threads.
+For each pair of nodes, one thread sums the contributions of the cells in fixed order, and writes
+the sum and the transpose of the sum. The matrix is therefore symmetric to the last bit, on any
+number of threads.
 
-Stress: strain and stress in linear or quadratic tetrahedra, averaged over groups of points.
+The module also computes strain and stress in linear or quadratic tetrahedra, averaged over groups
+of points.
 
-At a point with the barycentric coordinates l, the displacement gradient is
-``sum_A u_A (sum_c (slope_Ac . l) g_c)^T``. The strain is the symmetric part of this gradient, and
-the stress is the material stiffness D times the strain. A group consists of the centre of one cell,
-or of the points at one node, with one point for each adjacent cell. The weight of a point is the
-volume of its cell.
+At a point with the barycentric coordinates l, the displacement gradient is ``sum_A u_A (sum_c
+(slope_Ac . l) g_c)^T``. The strain is the symmetric part of this gradient, and the stress is the
+material stiffness D times the strain. A group is either the centre of one cell, or a set of points
+at one node, with one point for each adjacent cell. In the average, the weight of a point is the
+volume of the point's cell.
 """
 
 import warp as wp
@@ -78,7 +80,7 @@ def gradient_product(
     pair_weight: Doubles2D,
     gradient: Vectors2D,
 ):
-    """Compute ``S / V`` of a pair of nodes in a cell, and return the cell's index and this matrix.
+    """Compute ``S / V`` for a pair of nodes in a cell. Return the cell's index and the matrix.
 
     S is the integral of the product of the gradients of the two shape functions, and V is the
     volume of the cell. If ``contribution`` is negative, the pair is reversed and S is transposed.

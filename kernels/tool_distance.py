@@ -1,7 +1,7 @@
-"""Signed distance of points from a tool of revolution, and bounds of this distance on triangles.
+"""Signed distance of points from a tool, a body of revolution, and distance bounds on triangles.
 
-The distance to a convex body is a convex function. The tangent plane of this function at a point of
-a triangle is therefore a lower bound of the distance on the whole triangle.
+The distance from a convex body is a convex function of position. The linear approximation of this
+function at a point of a triangle is therefore a lower bound on the whole triangle.
 """
 
 import warp as wp
@@ -12,17 +12,17 @@ from kernels.constants import HALF, ONE, THREE, TWO, ZERO
 wp.set_module_options({"enable_backward": False})
 
 TOLERANCE_M = wp.constant(wp.float64(1.0e-6))
-"""Largest accepted difference between the smallest distance and its lower bound [m]."""
+"""Largest accepted difference [m] between the smallest distance and its lower bound."""
 MOST_EVALUATIONS = wp.constant(20000)
-"""Number of evaluations after which the tolerance of a search grows.
+"""Number of distance evaluations after which the tolerance of a search grows.
 
 20,000 evaluations of the distance between a tool and a triangle take about 2 ms.
 """
 STEPS = wp.constant(10)
-"""Number of gradient-descent steps in a triangle before the triangle is halved.
+"""Number of gradient-descent steps within a triangle before the triangle is halved.
 
-With this value, the query for a ball burr near a sphere of 5120 triangles takes 68 us. With 5
-steps, the query takes 78 us, and with 20 steps 72 us.
+With this value, a distance query for a ball burr near a sphere of 5120 triangles takes 68 us. With
+5 steps, such a query takes 78 us, and with 20 steps 72 us.
 """
 TIE_M = wp.constant(wp.float64(1.0e-12))
 """Difference [m] below which the distances from two pieces of an outline count as equal."""
@@ -31,7 +31,7 @@ ARC = wp.constant(1)
 
 @wp.struct
 class Outline:
-    """Parts of a tool, as half sections that are rotated about z. The origin is the tip."""
+    """Parts of a tool: half sections that are rotated about z. The origin is the tool's tip."""
 
     kind: Int32s  # [piece] 1 for an arc, 0 for a line
     shape: Doubles2D  # [piece, 10] see `tissue.cutters.body.outline_table`
@@ -43,10 +43,10 @@ class Outline:
 def widened(tolerance: wp.float64, evaluations: int, doubling: int):
     """Return the tolerance of a search after a number of evaluations.
 
-    The tolerance doubles every `doubling` evaluations beyond `MOST_EVALUATIONS`. This limits the
-    time of a search with many equally near triangles, such as those of a fine tube around the tool.
-    The growth leaves smaller errors than a limit of the number of evaluations. Such a limit leaves
-    large boxes, whose bounds are millimetres too low.
+    The tolerance doubles every `doubling` evaluations beyond `MOST_EVALUATIONS`. The growing
+    tolerance limits the time of a search with many equally near triangles, as in a fine tube around
+    the tool. A limit of the number of evaluations would cause larger errors. It would leave large
+    boxes unsearched, and their distance bounds are millimetres too low.
     """
     if evaluations < MOST_EVALUATIONS:
         return tolerance
@@ -58,8 +58,8 @@ def widened(tolerance: wp.float64, evaluations: int, doubling: int):
 def on_line(shape: Doubles2D, k: int, p: wp.vec2d):
     """Compute the vector from the nearest point of a straight piece of the outline to ``p``.
 
-    Also return the radius of curvature of the curve of equal distance through ``p`` (1e9 m if
-    straight).
+    Also return the radius of curvature [m] of the curve through ``p`` on which the distance is
+    constant. The radius is 1e9 m for a straight curve.
     """
     start = wp.vec2d(shape[k, 0], shape[k, 1])
     along = wp.vec2d(shape[k, 2], shape[k, 3])
@@ -78,8 +78,8 @@ def on_line(shape: Doubles2D, k: int, p: wp.vec2d):
 def on_arc(shape: Doubles2D, k: int, p: wp.vec2d):
     """Compute the vector from the nearest point of an arc of the outline to ``p``.
 
-    Also return the arc's normal at this nearest point, and the radius of curvature of the curve of
-    equal distance through ``p``.
+    Also return the arc's normal at the nearest point, and the radius of curvature [m] of the curve
+    through ``p`` on which the distance is constant.
     """
     out = p - wp.vec2d(shape[k, 0], shape[k, 1])
     reach = wp.length(out)
@@ -100,8 +100,8 @@ def on_arc(shape: Doubles2D, k: int, p: wp.vec2d):
 def distance_to_part(outline: Outline, part: int, point: wp.vec3d):
     """Compute the signed distance of a point from one part of the tool.
 
-    Also return the gradient of the distance, and the smallest radius of curvature of the surface of
-    equal distance through the point.
+    Also return the gradient of the distance, and a radius of curvature. This is the smallest radius
+    of curvature, at the point, of the surface on which the distance is constant.
     """
     radius = wp.sqrt(point[0] * point[0] + point[1] * point[1])
     p = wp.vec2d(radius, point[2])
@@ -177,9 +177,10 @@ def nearest_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
 
 @wp.func
 def best_mix(first: wp.vec3d, second: wp.vec3d):
-    """Find the weighted mean of two linear functions on a triangle that has the largest minimum.
+    """Find the weights for which the mean of two linear functions has the largest minimum.
 
-    The two functions and the result are given by their values at the corners of the triangle.
+    The functions are defined on a triangle. Each function, and the returned weighted mean, is given
+    by its values at the corners of the triangle.
     """
     best = first
     if wp.min(second) > wp.min(best):
@@ -202,8 +203,9 @@ def bounds_over(outline: Outline, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, best: w
     """Compute a lower and an upper bound of the smallest distance between tool and triangle.
 
     Gradient descent approaches the point of the triangle with the smallest distance. If the
-    distance is smooth at this point, its tangent plane there gives the exact lower bound. If the
-    distance has a crease there, a weighted mean of two tangent planes gives the exact lower bound.
+    distance function is smooth at this point, its linear approximation gives the exact lower bound.
+    If the function has a crease at this point, a weighted mean of two linear approximations gives
+    the exact lower bound.
     """
     middle = (a + b + c) / THREE
     size = wp.max(wp.length(a - middle), wp.max(wp.length(b - middle), wp.length(c - middle)))

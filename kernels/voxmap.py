@@ -1,13 +1,14 @@
-"""Distances of points from the obstacles of a rigid tool: voxels and exact solids.
+"""Distances of points from the obstacles of a rigid tool: bone voxels and exact solids.
 
 The distance of a point from the surface of the voxels is not stored. It is computed on demand from
 the remaining fractions of the eight voxels around the point, so carving does not have to update
-distances. F is the trilinearly interpolated fraction and h the voxel spacing. The level
-``(SURFACE - F) h`` is zero on the surface, and its slope is about one in the outward direction.
-``SURFACE`` is less than one half, because a plate that is one voxel thick may half fill two layers
-of voxels. The contact surface is therefore larger than the true surface, and shell points of the
-tool are moved inward to compensate. Away from bone, the array ``clearance`` holds a lower bound of
-the distance to the initial bone. Removal of bone can only increase this distance.
+distances. F is the trilinearly interpolated fraction and h the voxel spacing. The level at a point
+is h times ``SURFACE`` minus h times F. It is zero on the surface, and has a slope of about one in
+the outward direction. ``SURFACE`` is less than one half, because a plate that is one voxel thick
+may half fill two layers of voxels. The contact surface therefore lies outside the true surface. To
+compensate, the shell points, which represent the tool's surface, are moved inward. Away from bone,
+a lower bound of the distance from the initial bone is read from the array ``clearance``. The bound
+remains valid, because removal of bone can only increase the distance.
 """
 
 import warp as wp
@@ -22,7 +23,7 @@ HALF_SPACE = 0
 BOX = 1
 BALL = 2
 CELL = 2
-"""Edge length of a cell of `Field.clearance` [voxel]."""
+"""Edge length [voxel] of a cell of the grid `Field.clearance`."""
 SURFACE = 0.25
 """Trilinearly interpolated voxel fraction on the surface that the tool touches."""
 LEVEL = wp.constant(wp.float64(SURFACE))
@@ -115,7 +116,7 @@ def voxel_clearance(field: Field, point: wp.vec3d):
 
 @wp.func
 def held(remaining: Shorts2D, row: int, ix: int, iy: int, iz: int):
-    """Return the filled fraction of a voxel in the brick of ``row``; 0 if ``row`` is negative."""
+    """Return the filled fraction of a voxel in the brick at ``row``; 0 if ``row`` is negative."""
     fraction = wp.float64(0.0)
     if row >= 0:
         fraction = wp.float64(remaining[row, voxel_column(ix, iy, iz)]) * STEP
@@ -133,7 +134,8 @@ def column_pair(
 ):
     """Return the filled fractions of a voxel and of the next voxel along z.
 
-    ``row`` is the row of the brick that contains both voxels, or -2 if the row must be searched.
+    ``row`` is the row of the brick that contains both voxels, or -2 if it is not known and must be
+    searched.
     """
     low = row
     if row < 0:
@@ -148,8 +150,8 @@ def column_pair(
 def voxel_level(field: Field, point: wp.vec3d):
     """Compute the approximate signed distance (level) [m] of a point from the voxels' surface.
 
-    The level is positive outside and zero on the surface. Its gradient, which is also returned, has
-    a length of about one near the surface.
+    The level is positive outside and zero on the surface. Also return the gradient of the level,
+    which has a length of about one near the surface.
     """
     ux = (point[0] - field.origin[0]) * field.voxels_per_m - HALF
     uy = (point[1] - field.origin[1]) * field.voxels_per_m - HALF
@@ -192,10 +194,10 @@ def field_distance(
     distance_out: Doubles,  # [m]
     normal_out: Vectors,
 ):
-    """Compute the distance [m] from each point to the nearest obstacle, and the outward direction.
+    """Compute the distance [m] from each point to the nearest obstacle, and its outward direction.
 
-    The distance from solids is exact. Farther than half a voxel from bone, a lower bound of the
-    distance from bone is used, with the direction (0, 0, 0).
+    The distance from solids is exact. At points farther than half a voxel from bone, the distance
+    from bone is only a lower bound, and its direction is (0, 0, 0).
     """
     i = wp.tid()
     # 1e30 m: no solid yet

@@ -2,8 +2,8 @@
 
 This package provides the geometry that a scene needs. Basic shapes are in `meshes.shapes.sdf`.
 Lengths are in metres unless a name states another unit. Modules that read files or search surfaces
-import pyvista, trimesh and scikit-image when their functions are called. The names below are
-imported when they are first used.
+import pyvista, trimesh and scikit-image when their functions are called. The public names of the
+package are imported when they are first used.
 """
 
 from importlib import import_module

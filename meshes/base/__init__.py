@@ -1,1 +1,1 @@
-"""Basic functions of all geometry modules: errors, progress, cache, files, isolated parsing."""
+"""Basic functions for all geometry modules: errors, progress, cache, files, isolated parsing."""

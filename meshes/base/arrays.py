@@ -1,4 +1,4 @@
-"""Array types, points of a lattice, and functions for triangles and cells."""
+"""Array types, lattice points, and functions for triangles and cells (rows of indices)."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ Triangles = tuple[Array, Ints]
 
 
 def lattice(*axes: ArrayLike) -> Any:
-    """Return all combinations of the axes' coordinates, shape (n, number of axes).
+    """Return all points of a lattice, shape (n, number of axes), from coordinates per axis.
 
     The last axis varies fastest.
     """
@@ -27,7 +27,10 @@ def lattice(*axes: ArrayLike) -> Any:
 
 
 def box_of(mask: Flags, margin: int = 0) -> tuple[slice, ...]:
-    """Return index slices around a nonempty mask and a margin [voxel], limited to the array."""
+    """Return slices of the box around a nonempty mask, extended by a margin [voxel].
+
+    The box stays within the array.
+    """
     found = []
     for axis, count in enumerate(mask.shape):
         along = np.flatnonzero(mask.any(axis=tuple(k for k in range(mask.ndim) if k != axis)))
@@ -36,14 +39,17 @@ def box_of(mask: Flags, margin: int = 0) -> tuple[slice, ...]:
 
 
 def compact(points: Array, cells: Ints) -> tuple[Array, Ints]:
-    """Return the points that cells use, shape (n, 3), and the renumbered cells, shape (m, k)."""
+    """Return the points that cells use, shape (n, 3), and the cells, shape (m, k).
+
+    The returned cells contain indices of the returned points.
+    """
     used = np.zeros(len(points), dtype=bool)
     used[cells] = True
     return (points, cells) if used.all() else (points[used], (np.cumsum(used) - 1)[cells])
 
 
 def directed_edges(triangles: Ints) -> Ints:
-    """Return the indices of the start and end points of all edges of m triangles, shape (3 m, 2).
+    """Return the start and end point index, shape (3 m, 2), of each edge of m triangles.
 
     The result contains the first edges of all triangles, then the second edges, then the third
     edges.
@@ -52,7 +58,7 @@ def directed_edges(triangles: Ints) -> Ints:
 
 
 def windings(triangles: Ints) -> Ints:
-    """Return the orientation of each triangle relative to its vertex indices, shape (m,).
+    """Return the orientation of each triangle, shape (m,), relative to its vertex indices.
 
     The value is -1 if the indices ascend in cyclic order, and 1 if they descend. The value is 0 if
     a triangle uses a point twice.
@@ -62,7 +68,7 @@ def windings(triangles: Ints) -> Ints:
 
 
 def cross_products(points: Array, triangles: Ints) -> Array:
-    """Compute a normal vector of each triangle, shape (m, 3).
+    """Compute a normal vector, shape (m, 3), of each triangle.
 
     The length of the vector is twice the area of the triangle.
     """

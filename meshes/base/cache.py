@@ -1,6 +1,6 @@
 """On-disk cache for expensive arrays, and in-memory store of recent results.
 
-An entry is identified by all inputs of its computation.
+A cache entry is identified by all inputs of the computation whose results it holds.
 """
 
 import hashlib
@@ -45,8 +45,8 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
     Parameters
     ----------
     kind
-        Kind of the arrays, one word. The file name starts with this word. Change the word when the
-        meaning of the arrays changes.
+        Kind of the arrays, one word. The file name starts with this word. If the meaning of the
+        arrays changes, use another word, so that older files are not read.
     key
         All inputs of the computation. Arrays are identified by their bytes, other values by their
         ``repr``.
@@ -56,8 +56,8 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
     Notes
     -----
     A file contains the arrays, their types and shapes, a checksum, and the version of the code (the
-    version of tissue and of the module of ``make``). If the checksum or the version of a file does
-    not match, or the file cannot be read, its arrays are computed again. If the folder cannot be
+    version of tissue and of the module of ``make``). The arrays are computed again if the file
+    cannot be read, or if the checksum or the version does not match. If the folder cannot be
     written, nothing is stored.
     """
     digest = hashlib.blake2b(digest_size=_DIGEST_BYTES)
@@ -115,7 +115,7 @@ def _head(text: str) -> str:
 
 
 def _read(path: Path, code: str) -> Arrays | None:
-    """Return the arrays of a complete cache file that the code version `code` wrote, or None."""
+    """Return the arrays of a cache file, or None if it is damaged or from another code version."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
@@ -158,7 +158,8 @@ Result = TypeVar("Result")
 class Kept(Generic[Result]):
     """In-memory store of the most recently requested results.
 
-    The trials of a study use the same meshes, voxels and tables many times.
+    The store saves time, because the trials of a case study request the same meshes, voxels and
+    tables many times.
 
     Parameters
     ----------

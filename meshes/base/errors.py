@@ -19,7 +19,7 @@ _LONGEST_PATH = 500
 
 
 class _Present:
-    """Type of `PRESENT`."""
+    """Type of the constant `PRESENT`."""
 
     def __reduce__(self) -> str:
         """Pickle only the name, so that an error from another process holds `PRESENT` itself."""
@@ -27,7 +27,10 @@ class _Present:
 
 
 PRESENT = _Present()
-"""Value of an `InputError` about an argument that must not be given. It is not printed."""
+"""Value of an `InputError` for an argument that must not be given.
+
+The error message does not contain this value.
+"""
 
 
 class InputError(ValueError):
@@ -40,7 +43,7 @@ class InputError(ValueError):
     Parameters
     ----------
     argument
-        Name of the argument. If no requirement is given, this text is the whole message.
+        Name of the argument. If `requirement` is empty, this text is the whole message.
     requirement
         Requirement on the argument. In the message, the requirement follows the word "must".
     value
@@ -180,7 +183,7 @@ def require_length(
 def require_ranges(*rows: tuple[str, float, float, float, str]) -> list[float]:
     """Check that each value lies in its closed interval, and return the values.
 
-    Each argument is a tuple with the arguments of one call of `require_range`.
+    Each tuple contains the arguments of one call of `require_range`.
     """
     return [require_range(*row) for row in rows]
 
@@ -232,7 +235,7 @@ def require_direction(
 
 
 def _short(file: Path) -> str:
-    """Shorten a path for use in a sentence."""
+    """Shorten a path for use in an error message."""
     text = str(file)
     return (
         text
@@ -242,7 +245,7 @@ def _short(file: Path) -> str:
 
 
 def is_file(file: Path) -> bool:
-    """Return whether a file exists; False if the system does not accept its name."""
+    """Return whether a file exists; False if the operating system does not accept the file name."""
     try:
         return file.is_file()
     except OSError:
@@ -250,7 +253,7 @@ def is_file(file: Path) -> bool:
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether a folder exists; False if the system does not accept its name."""
+    """Return whether a folder exists; False if the operating system does not accept the name."""
     try:
         return path.is_dir()
     except OSError:
@@ -319,7 +322,7 @@ def names_of_caller(names: Mapping[str, str]) -> Iterator[None]:
 
 
 def ranged(default: float, lowest: float, highest: float, remedy: str = "") -> Any:
-    """Declare a numeric field of a `Ranged` dataclass with its default and its closed range."""
+    """Declare a numeric field of a `Ranged` dataclass, with its default and its limits."""
     return field(
         default=default, metadata={"range": (lowest, highest, remedy or f"use {default:g}")}
     )
@@ -332,7 +335,7 @@ class Ranged:
     Raises
     ------
     InputError
-        If a number is not finite or out of its range.
+        If a field's value is not finite or out of the field's range.
     """
 
     def __post_init__(self) -> None:

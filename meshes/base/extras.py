@@ -5,9 +5,10 @@ from importlib.metadata import PackageNotFoundError, requires
 
 
 def install_command(extra: str) -> str:
-    """Return the pip command for the packages of an extra.
+    """Return the pip command that installs the packages of an optional extra of this library.
 
-    The command lists the packages by name, so it works for a checkout and for a released version.
+    The command lists the packages by name. It therefore works for a source checkout and for a
+    released version.
     """
     try:
         listed = requires("tissue-sim") or []

@@ -1,4 +1,4 @@
-"""Checks of input files: the file type must be regular, and the content must fit in memory."""
+"""Checks that an input file is a regular file, and that its content fits in memory."""
 
 import os
 import stat
@@ -34,7 +34,10 @@ _CGROUP = Path("/sys/fs/cgroup")
 
 @contextmanager
 def memory_limit(max_memory_GB: float | None) -> Iterator[None]:
-    """Set the memory limit [GB] for the content of a file. None does not change the limit."""
+    """Set the memory limit [GB] for the content of files that are read in a ``with`` block.
+
+    The value None does not change the limit.
+    """
     if max_memory_GB is None:
         yield
         return
@@ -126,8 +129,8 @@ def read_npz(path: Path) -> "dict[str, NDArray[np.generic]]":
     InputError
         If the arrays would exceed the memory limit.
     ValueError
-        If the size in the header of an array does not match the size of its archive entry, or an
-        array contains Python objects.
+        If the array size in a header does not match the size of the archive entry, or an array
+        contains Python objects.
     """
     import numpy as np
 

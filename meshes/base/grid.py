@@ -11,16 +11,16 @@ from meshes.base.arrays import Array, Ints, lattice
 BLOCK = 8
 """Number of voxels along the edge of a block.
 
-`kernels.bricks.BRICK` has the same value. Neither package imports the other, and a test compares
-both.
+`kernels.bricks.BRICK` has the same value. The two packages do not import each other, so a test
+compares the two values.
 """
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Grid of voxels with indices relative to the frame's origin.
+    """Grid of voxels whose indices are counted from the origin of a coordinate frame.
 
-    Voxel i spans [i, i + 1] spacings.
+    Along each axis, the voxel with index i extends from i to i + 1 times the spacing.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Grid:
 
     @property
     def origin_m(self) -> Array:
-        """Corner of the grid with the smallest coordinates [m], shape (3,)."""
+        """Corner [m], shape (3,), of the grid with the smallest coordinates."""
         return np.array(self.first) * self.spacing_m
 
     def blocked(self) -> Grid:
@@ -66,7 +66,7 @@ class Grid:
     def slab(self, start: int, stop: int) -> Grid:
         """Return the part of the grid from the x index `start` up to, but not including, `stop`.
 
-        The indices are counted from the first voxel of this grid.
+        `start` and `stop` are counted from the grid's first voxel.
         """
         return Grid(
             self.spacing_m,
@@ -75,9 +75,9 @@ class Grid:
         )
 
     def block_firsts(self) -> Ints:
-        """Return the lowest voxel index in each block of a grid of whole blocks, shape (n, 3).
+        """Return the lowest voxel index in each block of 8 x 8 x 8 voxels, shape (n, 3).
 
-        The blocks are in C order.
+        The grid must consist of whole blocks. The blocks are listed in C order.
         """
         axes = [np.arange(f, e, BLOCK) for f, e in zip(self.first, self.last, strict=True)]
         firsts: Ints = lattice(*axes)

@@ -1,4 +1,4 @@
-"""Suggestions for unknown names: keys, options, attributes, columns and names of parts."""
+"""Suggestions of known names for an unknown key, option, attribute, column or part name."""
 
 import difflib
 import re
@@ -54,7 +54,7 @@ An additional word in a name lowers the similarity by 0.085, which is more than 
 MOST = 3
 """Largest number of suggestions."""
 MISSPELT = 0.85
-"""Factor by which the share of common letters is multiplied to compute a similarity.
+"""Factor from the share of letters that two words have in common to their similarity.
 
 With this factor, a misspelt word is not more similar than a synonym.
 """
@@ -77,21 +77,21 @@ def closest(word: str, known: Iterable[str]) -> list[str]:
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return a question in brackets with the names that a word most likely means.
+    """Return a question in brackets that suggests the names that a word most likely means.
 
-    The result is an empty string if there is no such name.
+    The result is an empty string if no name is similar to the word.
     """
     return did_you_mean(closest(word, known))
 
 
 def suggests_arguments(of: F) -> F:
-    """Decorate a public function or class: errors for an unknown argument suggest a known one.
+    """Decorate a function or class such that errors for an unknown argument suggest a known name.
 
     Parameters
     ----------
     of
-        Function, or class whose own constructor and public methods are replaced. Functions with a
-        ``**`` parameter are not changed.
+        Function or class. Of a class, the constructor and the public methods that it defines itself
+        are wrapped. Functions with a ``**`` parameter are not changed.
     """
     if not isinstance(of, type):
         return _checked(of)
@@ -106,7 +106,7 @@ def suggests_arguments(of: F) -> F:
 
 
 def _checked(function: F) -> F:
-    """Wrap a function, such that the names of keyword arguments are checked."""
+    """Wrap a function such that each call checks the names of keyword arguments."""
     parameters = signature(function).parameters
     if any(each.kind is Parameter.VAR_KEYWORD for each in parameters.values()):
         return function
@@ -127,7 +127,7 @@ def _checked(function: F) -> F:
 
 
 def did_you_mean(names: Sequence[str]) -> str:
-    """Return a question in brackets that suggests names, or an empty string without names."""
+    """Return a question in brackets that suggests names; an empty string if there are no names."""
     if not names:
         return ""
     *first, last = names
@@ -136,7 +136,7 @@ def did_you_mean(names: Sequence[str]) -> str:
 
 
 def _score(given: str, name: str) -> float:
-    """Return the similarity of two names. It is 1 if the names consist of the same words."""
+    """Return the similarity of two names, which is 1 if the names consist of the same words."""
     words = _words(given)
     others = _words(name)
     if not words or not others:

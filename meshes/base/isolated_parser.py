@@ -38,7 +38,7 @@ _DIE_WITH_PARENT = 1
 
 
 def start_code(module: str, function: str) -> str:
-    """Return Python code that calls a function of this copy of the source code.
+    """Return Python code that imports a function from this copy of the source code and calls it.
 
     The function reads its arguments from `sys.argv[1:]`.
     """
@@ -92,7 +92,7 @@ The factor is large, because a compressed label image may have a hundredth of it
 _LIBRARIES_BYTES = 256 << 20
 """Memory of the Python interpreter and its libraries [byte].
 
-This memory does not count towards the memory limit of files.
+The memory limit for a file's content does not include this memory.
 """
 _LOOK_EVERY_S = 0.05
 """Interval [s] at which the elapsed time and the memory of a parser are checked.
@@ -117,16 +117,16 @@ def parse_isolated(
     Parameters
     ----------
     parser
-        Function of this package as ``module:function``. The function takes the path and the
-        options, and returns a pair: a dictionary of values that JSON can represent, and a
-        dictionary of arrays. The function may raise InputError, or DamagedFileError with a
+        Name of a function of this package, written as ``module:function``. The function takes the
+        path and the options, and returns a pair: a dictionary of values that JSON can represent,
+        and a dictionary of arrays. The function may raise InputError, or DamagedFileError with a
         description of the damage. Any other exception means that the file is damaged. The text of
         such an exception is not shown to the user.
     file
         File, or folder of files.
     what, remedy
-        Expected kind of file ("VTK surface"), and instruction for the user if the file has another
-        kind.
+        Expected kind of file for messages, such as "VTK surface", and instruction for the user if
+        the file has another kind.
     options
         Further arguments of the function. JSON must be able to represent them.
 
@@ -169,7 +169,7 @@ def parse_isolated(
 
 
 def _asked(request: str, limit_s: float, most_bytes: int) -> Answer:
-    """Run `_answer` in a child process, and return its result.
+    """Run `_answer` in a child process, and return the result of `_answer`.
 
     If the process crashes or exceeds a limit, the result contains a description of this problem.
     """
@@ -242,7 +242,7 @@ def _receive(answers: IO[bytes]) -> Answer:
 
 
 def _serve() -> None:
-    """Parse the file that the command line names, in the child process.
+    """Parse the file that is named on the command line of this child process.
 
     The result is written to the standard output.
     """

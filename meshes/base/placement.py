@@ -12,9 +12,9 @@ from meshes.base.arrays import Array, Floats
 from meshes.base.errors import InputError
 
 _ORTHONORMAL = 1e-6
-"""Largest deviation of R R^T from the identity.
+"""Largest deviation of R R^T from the identity matrix for a valid rotation matrix R.
 
-With this deviation, the position error of a point at a distance of 1 m is about 1 um.
+With this deviation, a point at a distance of 1 m has a position error of about 1 um.
 """
 
 
@@ -28,9 +28,9 @@ class Placement:
     Attributes
     ----------
     origin_mm
-        The scene's origin in the file's frame [mm], shape (3,).
+        Origin of the scene [mm], shape (3,), in the file's frame.
     rotation
-        The scene's axes as columns in the file's frame, shape (3, 3), right-handed.
+        Axes of the scene as columns in the file's frame, shape (3, 3). The axes are right-handed.
     unit_mm
         Length unit of the file [mm].
     """

@@ -37,7 +37,10 @@ _TIME_OF_DAY = re.compile(
     r"(?:\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[ T]+)?"
     r"(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d+)?)\s*([AaPp][Mm])?"
 )
-"""Time of day, possibly after a date whose order of day and month is unknown."""
+"""Regular expression for a time of day, optionally after a date.
+
+Day and month of the date may have any order.
+"""
 _DAY_S = 86400.0
 _AGAIN = "fix that line or export the file again"
 
@@ -77,7 +80,7 @@ class TextTable:
     notes: tuple[str, ...]
 
     def numbers(self, name: str) -> Array:
-        """Return the numbers of a column, shape (n,), NaN for empty cells.
+        """Return the numbers of a column, shape (n,). The number of an empty cell is NaN.
 
         Dates with times are converted to seconds since 1970 in UTC, and times of day to seconds
         since midnight.
@@ -109,7 +112,7 @@ class TextTable:
         return found
 
     def finite(self, name: str) -> Array:
-        """Return the numbers of a column in which no cell may be empty; see `numbers`.
+        """Return the numbers of a column as `numbers` does, but do not allow empty cells.
 
         Raises
         ------
@@ -311,7 +314,7 @@ def _is_data(row: list[str]) -> bool:
 def _require_decimal_points(
     above: list[list[str]], rows: list[list[str]], delimiter: str, path: Path, what: str
 ) -> None:
-    """Raise an error if the cells of a table are separated by commas and have decimal commas.
+    """Raise an error for a table that uses commas both as separators and as decimal marks.
 
     In such a table, rows have more cells than the header, and no cell has a decimal point.
     """

@@ -1,4 +1,4 @@
-"""Text from files: TOML and JSON with limited nesting, numbers, and text for display."""
+"""Conversion of text from files: TOML and JSON, numbers, and text for display."""
 
 import codecs
 import json
@@ -52,7 +52,7 @@ def read_toml(text: str) -> dict[str, Any]:
 
 @contextmanager
 def _limited(error: Callable[[str], Exception]) -> Iterator[None]:
-    """Raise an error of a format's own type for deep nesting and for numbers that are too long."""
+    """Convert errors for deep nesting and for long numbers by the function `error`."""
     try:
         yield
     except (tomllib.TOMLDecodeError, json.JSONDecodeError, UnicodeDecodeError):
@@ -133,7 +133,7 @@ def number_in(text: str) -> float:
 
 
 def number_or_nan(text: str | None) -> float:
-    """Convert text to a number, or to NaN if it is not a number; see `number_in`."""
+    """Convert text to a number as `number_in` does, or to NaN if the text is not a number."""
     try:
         return number_in(text or "")
     except ValueError:
@@ -159,7 +159,8 @@ def require_distinct_columns(names: Iterable[str], what: str, path: Path) -> Non
     Raises
     ------
     InputError
-        If a name occurs twice. `what` is the argument or key that names the file.
+        If a name occurs twice. The message names the file by `what`, the user's argument or key for
+        this file.
     """
     seen = set[str]()
     for name in names:

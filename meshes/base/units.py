@@ -27,7 +27,7 @@ UNITS: dict[str, dict[str, float]] = {
     "angle": {"rad": 1.0, "deg": 0.017453292519943295},
     "number": {},
 }
-"""Factors that convert units to SI, by quantity and unit.
+"""Factors that convert units to SI units, in a dictionary by quantity and then by unit.
 
 The factors of gf, kgf and lbf are exact values from BIPM and NIST SP 811.
 """
@@ -81,12 +81,12 @@ def name_of(header: str, quantity: str) -> str:
 
 
 def column_of(wanted: str, quantity: str, headers: Sequence[str]) -> str | None:
-    """Return the header of a quantity, in any unit: "tool_x [um]" for the wanted "tool_x_mm".
+    """Return the header of a wanted column in any unit, for example "tool_x [um]" for "tool_x_mm".
 
     Returns
     -------
-    The wanted header itself if it exists. Otherwise the only header that has the same name and a
-    unit of the quantity. Otherwise None.
+    The header `wanted` if it is in `headers`. Otherwise, the only header with the same name and a
+    unit of the quantity. None if no header or several headers match.
     """
     if wanted in headers:
         return wanted

@@ -20,7 +20,7 @@ class Owner(Protocol):
     """Folder whose `claim` method is called before a file in the folder is written."""
 
     def depth(self, path: Path) -> int:
-        """Return the number of parts of the folder's path.
+        """Return the number of components of the folder's path.
 
         The result is 0 if the folder does not contain ``path``.
         """
@@ -32,11 +32,14 @@ class Owner(Protocol):
 
 
 OWNERS: "WeakSet[Owner]" = WeakSet()
-"""Folders that are being written by this process."""
+"""Folders to which this process is writing."""
 
 
 def claim(path: Path) -> None:
-    """Before a file is written, report it to the innermost folder in `OWNERS` that contains it."""
+    """Report a file to the innermost folder in `OWNERS` that contains the file.
+
+    Call this function before the file is written.
+    """
     owner = max(list(OWNERS), key=lambda each: each.depth(path), default=None)
     if owner is not None and owner.depth(path):
         owner.claim(path)
@@ -100,7 +103,7 @@ def require_version(
     newest
         Newest format version that can be read.
     where
-        The file.
+        File, for messages.
     remedy
         Instruction for the user if the file has no version.
 
@@ -141,7 +144,7 @@ def require_new_file(path: Path, *, overwrite: bool, name: str = "out") -> None:
     overwrite
         Allow a regular file to be replaced.
     name
-        Option that names the file, for messages.
+        Name of the user's option for the file, for messages.
 
     Raises
     ------
@@ -161,7 +164,7 @@ def require_new_file(path: Path, *, overwrite: bool, name: str = "out") -> None:
 
 
 def _other_output(name: str) -> str:
-    """Return the instruction to choose another output."""
+    """Return the instruction to choose another path for the output."""
     return "another --out" if name == "out" else f"another file for --{name}"
 
 
@@ -208,12 +211,12 @@ def write_columns(path: Path, columns: "Mapping[str, ArrayLike]") -> None:
 
 
 def write_rows(path: Path, rows: Iterable[Iterable[object]]) -> None:
-    """Write rows as CSV in one step, numbers with all digits."""
+    """Write rows as CSV. The file appears in one step, and numbers have all digits."""
     with whole_file(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows(rows)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file in UTF-8 in one step."""
+    """Write a text file in UTF-8. The file appears in one step."""
     with whole_file(path) as temporary:
         temporary.write_text(text, "utf-8")

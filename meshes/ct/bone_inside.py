@@ -25,21 +25,21 @@ LAW = "density_law"
 CORTICAL_ABOVE_KG_M3 = 1000.0
 """Apparent density above which bone is cortical.
 
-Keyak (1998) changes from trabecular to cortical bone at an ash density of 0.6 g/cm3. The value is
-this density divided by the ratio of ash to apparent density, 0.598 (Schileo 2008).
+Keyak (1998) changes from trabecular to cortical bone at an ash density of 0.6 g/cm3. The constant
+is this ash density divided by 0.598, the ratio of ash to apparent density (Schileo 2008).
 """
 _LEAST_KG_M3 = 50.0
-"""Lowest density of bone [kg/m3], the same as in `DensityLaw`.
+"""Lowest density of bone [kg/m3], equal to the lower limit in `DensityLaw`.
 
-Next to voxels without bone, interpolation would give lower densities.
+Interpolation between bone and voxels without bone would give lower densities.
 """
 _PLATE_M = 5e-3
-"""Largest depth of a subchondral plate below the joint surface [m].
+"""Largest depth [m] of a subchondral plate below the joint surface.
 
-The thickness is 1.2 to 2.9 mm on the glenoid (Frich), and larger where a joint is loaded.
+The plate is 1.2 to 2.9 mm thick on the glenoid (Frich), and thicker where a joint is loaded.
 """
 _LEAST_COVERED = 0.99
-"""Smallest share of the surface points at which the image must contain a density."""
+"""Smallest valid share of surface points at which the density image contains a density."""
 _TO_EDGE = 0.501
 """Distance [voxel] from the centre of the last voxel to the edge of the image, with a tolerance.
 
@@ -69,19 +69,19 @@ def imaged_anatomy(
     """Return the anatomy of a bone in the site frame, with densities interpolated from an image.
 
     Dense bone is cortical. Dense bone within 5 mm below an articular face is the subchondral plate.
-    All other bone is trabecular.
+    Bone of lower density is trabecular.
 
     Parameters
     ----------
     surface
-        Surface of the bone in the frame of the image [m].
+        Surface of the bone [m], in the frame of the image.
     density
         Apparent density [kg/m3]. It must extend to at least one voxel outside the surface.
     cortical_above_kg_m3
         Density above which bone is cortical, 300 to 2000 kg/m3.
     articular_radius_mm
-        Radius around the site, perpendicular to its normal, within which the surface belongs to a
-        joint [mm]; 0 without a joint.
+        Radius [mm] of the joint surface around the site, measured perpendicular to the site's
+        normal; 0 if there is no joint.
 
     Raises
     ------
@@ -149,10 +149,10 @@ def cored_anatomy(
     Parameters
     ----------
     surface
-        Surface around the whole bone, or surface of the cortical bone alone, with a cavity at the
-        core.
+        Surface around the whole bone, or surface of the cortical bone alone. The latter has a
+        cavity at the core.
     core
-        Surface around the trabecular bone, in the same frame.
+        Surface around the trabecular bone, in the frame of `surface`.
 
     Raises
     ------
@@ -188,7 +188,7 @@ def stated_law(path: Path) -> str:
 
 
 def _require_covered(surface: Surface, density: Image) -> None:
-    """Raise an error for an image without density at the surface.
+    """Raise an error for a density image without density at the surface of the bone.
 
     Such an image belongs to another bone, or has another frame or unit.
     """

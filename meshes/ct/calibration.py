@@ -1,12 +1,12 @@
 """Density calibration without a phantom, from the air, fat, muscle and cortex of the same CT.
 
 The method follows Michalski et al. 2020 (Med Eng Phys 78:55). The effective energy is the energy at
-which the attenuation of the reference tissues best fits their Hounsfield units. There are three
-differences from the paper. First, the linear attenuation is fitted, because Hounsfield units are
-linear in this attenuation. Second, all unknowns have priors and are estimated together, so the
-uncertainty of the density includes the uncertainty of the unknowns. Third, bone is treated as a
-mixture of dense bone (ICRU 44) and marrow. Published relations between K2HPO4 and ash density are
-not used, because they differ by 30 %.
+which tabulated attenuations of the reference tissues best fit the Hounsfield units of these
+tissues. There are three differences from the paper. First, the linear attenuation is fitted,
+because Hounsfield units are linear in this attenuation. Second, all unknowns have priors and are
+estimated together, so the uncertainty of the density includes the uncertainty of the unknowns.
+Third, bone is treated as a mixture of dense bone (ICRU 44) and marrow. Published relations between
+K2HPO4 and ash density are not used, because they differ by 30 %.
 """
 
 import math
@@ -31,8 +31,8 @@ def mass_attenuation(material: str, energy_keV: float) -> float:
     """Compute the mass attenuation coefficient [m2/kg] of a material of ``attenuation.toml``.
 
     The coefficient is the sum over the chemical elements, weighted by their mass fractions. Between
-    the energies of the table, the logarithms are interpolated by cubic splines. The result differs
-    by less than 0.2 % from the finer tables of Elam et al. 2002.
+    the energies of the table, the logarithm of the coefficient is interpolated by cubic splines.
+    The result differs by less than 0.2 % from the finer tables of Elam et al. 2002.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def _table() -> dict[str, Any]:
 
 @cache
 def _curves() -> dict[str, Any]:
-    """Return splines of the logarithm of each coefficient [cm2/g] over the log energy [keV]."""
+    """Return one spline per element: log attenuation coefficient [cm2/g] over log energy [keV]."""
     from scipy.interpolate import CubicSpline
 
     table = _table()
@@ -89,9 +89,9 @@ _SPREAD = {"air": 0.0, "adipose": 0.02, "muscle": 0.01, "cortex": 0.04}
 """Relative standard deviation of a tissue's attenuation between patients.
 
 For fat, the value is half of the difference between adipose tissues 1 and 3 of Woodard and White
-1986 (Br J Radiol 59:1209). For muscle, it is half of the difference between their muscles 1 and 3,
-including the fat in muscle. For cortex, the value follows from a porosity of 3 to 12 % and a
-density of 1.85 to 2.0 g/cm3 in the densest bone.
+1986 (Br J Radiol 59:1209). For muscle, the value is half of the difference between muscles 1 and 3
+in the same paper, and includes the fat in muscle. For cortex, the value follows from a porosity of
+3 to 12 % and a density of 1.85 to 2.0 g/cm3 in the densest bone.
 """
 # prior of the effective energy: it is about 50 to 85 keV for clinical tubes with 80 to 140 kV
 _ENERGY_KEV = 72.0
@@ -107,10 +107,10 @@ _SCALE_SD = 0.01  # scale error; values of 0.003 to 0.03 change the energy by le
 _MARROW_FAT = 0.6  # fraction of fat in the pores: red marrow has 0.4, yellow 0.8 (ICRP 89)
 _MARROW_FAT_SD = 0.25
 _MINERAL_SD = 0.03
-"""Relative standard deviation of an apparent density that is computed from the mineral content.
+"""Relative standard deviation of apparent densities that are computed from a mineral content.
 
-The ratio of ash to dense bone is 0.57 if it is computed from the calcium content in ICRU 44, and
-0.598 in Schileo 2008. The standard deviation is about half of the relative difference.
+The ratio of ash density to bone density is 0.57 from the calcium content in ICRU 44, and 0.598 in
+Schileo 2008. The standard deviation is about half of the relative difference between these ratios.
 """
 # mean squared misfit, in squared standard deviations, above which the values are not Hounsfield
 # units
@@ -123,7 +123,7 @@ _CHANCE = 0.1  # a misfit with less than this probability widens the band
 _SLAB_VOXELS = 4e6  # voxels filtered at once: five arrays of 16 MB
 _MOST_VOXELS = 4e7  # of a larger image, only every n-th slab is used
 _MODES_HU = {"air": (-1060.0, -940.0), "adipose": (-140.0, -45.0), "muscle": (15.0, 95.0)}
-"""Range in which the most frequent Hounsfield value of a tissue is searched.
+"""Range [HU] in which the most frequent value of each tissue is searched.
 
 At 60 to 120 keV, the tables of ICRU 44 give -89 to -56 HU for fat and 44 to 41 HU for muscle.
 """
@@ -156,7 +156,7 @@ class Region:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Law for density from Hounsfield units that was found by a calibration.
+    """Result of a calibration: law that converts Hounsfield units to density.
 
     `energy_keV` contains the effective energy and its standard deviation.
     """
@@ -206,9 +206,9 @@ def density_law(text: str, image: Image) -> DensityLaw:
 
 
 def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
-    """Fit effective energy, scanner errors and density law to the mean values of image regions.
+    """Fit energy, scanner errors and density law to the mean values of tissues in an image.
 
-    The result includes the uncertainty of the law.
+    The result includes the uncertainty of the density law.
 
     The unknowns are the effective energy, the scanner's errors in the value of water and in the
     scale, the fat content of marrow, and one deviation for each tissue. This deviation is the
@@ -219,7 +219,7 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
     Raises
     ------
     InputError
-        If too few tissues are given, or no energy fits their values.
+        If too few tissues are given, or no energy fits the values of the tissues.
     """
     from scipy.optimize import approx_fprime, least_squares
     from scipy.special import chdtri
@@ -360,9 +360,9 @@ def find_regions(image: Image) -> dict[str, Region]:
 
 
 def _filtered(image: Image, start: int, thickness: int) -> list[Singles]:
-    """Filter a slab of an image with a kernel of 3 x 3 x 3 voxels.
+    """Compute local statistics of a slab of an image in neighbourhoods of 3 x 3 x 3 voxels.
 
-    Return the values and, for the neighbourhood of each voxel, the mean, the standard deviation,
+    Return five arrays: the grey values and, around each voxel, the mean, the standard deviation,
     the range of the means, and the minimum.
     """
     from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
@@ -390,7 +390,7 @@ def _most_frequent(tissue: str, counts: Ints, voxel_mm3: float, noise: float) ->
 
     For air and fat, the highest maximum is used. For muscle, the first maximum that is not small is
     used, because organs with contrast medium have higher Hounsfield values. The standard error
-    increases with the width of the maximum, because several tissues may widen it.
+    increases with the width of the maximum, because a wide maximum may contain several tissues.
     """
     from scipy.ndimage import gaussian_filter1d
     from scipy.signal import find_peaks, peak_widths

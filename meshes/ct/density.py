@@ -1,4 +1,4 @@
-"""Apparent density of bone as a linear function of grey values, with its uncertainty."""
+"""Linear laws that convert grey values to the apparent density of bone, with uncertainties."""
 
 from dataclasses import asdict, dataclass
 from statistics import NormalDist
@@ -23,7 +23,7 @@ class DensityLaw:
     """Apparent density [kg/m3] = slope * grey value + offset, limited to a range.
 
     Apparent density is wet mass divided by volume, including pores. The uncertainties describe only
-    the line. They do not include the noise of a voxel or the blur of thin bone.
+    the linear relation. They do not include the noise of a voxel or the blur of thin bone.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class DensityLaw:
     lowest_kg_m3, highest_kg_m3
         Limits of the density [kg/m3].
     name, source
-        Name and source of the line.
+        Name and source of the linear relation.
     covariance
         Variance of the slope, covariance of slope and offset, and variance of the offset
         [(kg/m3)^2].
@@ -56,9 +56,9 @@ class DensityLaw:
         return np.clip(density, self.lowest_kg_m3, self.highest_kg_m3).astype(np.float32)
 
     def sd(self, values: Numbers) -> Singles:
-        """Compute the standard uncertainty of the density [kg/m3] of mean grey values.
+        """Compute the standard uncertainty [kg/m3] of densities from mean grey values.
 
-        The uncertainty is computed before the limits are applied.
+        The limits of the density are not applied.
         """
         values = np.asarray(values, dtype=np.float64)
         slope, both, offset = self.covariance
@@ -67,7 +67,7 @@ class DensityLaw:
         return np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
 
     def band(self, values: Numbers) -> tuple[Singles, Singles]:
-        """Compute bounds [kg/m3] of the density of tissue with given mean grey values.
+        """Compute a lower and an upper bound [kg/m3] of the density from mean grey values.
 
         The density lies within the bounds with a probability of 90 %.
         """
@@ -86,7 +86,7 @@ class DensityLaw:
 def _scanner_law(
     name: str, ash: tuple[float, float], source: str, *, slope_sd: float, offset_sd_kg_m3: float
 ) -> DensityLaw:
-    """Return the density law for one scanner's linear relation of Hounsfield units and ash density.
+    """Return the density law from one scanner's linear relation of Hounsfield units and ash.
 
     The uncertainty of the law includes the difference between scanners.
 
@@ -122,8 +122,8 @@ CT_DENSITY = _scanner_law(
 )
 """Density law of one scanner. Calibrate your own scanner before you rely on densities.
 
-The uncertainty band of the law contains the densities of bone that are computed from the tables of
-``attenuation.toml`` at 62 to 80 keV. These densities are 8 to 39 % lower than the law.
+Densities that are computed from the tables of ``attenuation.toml`` at 62 to 80 keV are 8 to 39 %
+lower than those of the law. These computed densities lie within the law's uncertainty band.
 """
 _MAYO_DENSITY = _scanner_law(
     "dragomir-daescu",
@@ -136,8 +136,9 @@ _MAYO_DENSITY = _scanner_law(
 DENSITY_LAWS = {law.name: law for law in (CT_DENSITY, _MAYO_DENSITY)}
 """Density laws by name. Each law is the linear relation measured on one scanner.
 
-The uncertainty band of each law contains the densities of bone from tables at 62 to 80 keV, see
-`CT_DENSITY`. These densities differ from the law ``dragomir-daescu`` by -10 to 47 %.
+The uncertainty band of each law contains the densities that are computed from attenuation tables at
+62 to 80 keV, see `CT_DENSITY`. The computed densities differ from the law ``dragomir-daescu`` by
+-10 to 47 %.
 """
 
 _TO_ASH = {

@@ -30,13 +30,13 @@ _SEGMENT_TAGS = ("SegmentSequence", "SegmentationType", "MaximumFractionalValue"
 _OUTLINE_TAGS = ("StructureSetROISequence", "ROIContourSequence")
 _CLOSED = ("CLOSED_PLANAR", "CLOSEDPLANAR_XOR", "INTERPOLATED_PLANAR")
 _OFF_GRID = 0.05
-"""Largest distance of a frame from its expected position in an evenly spaced stack.
+"""Largest distance of an image plane (frame) from its expected position in an evenly spaced stack.
 
 Along the normal, the unit is the distance between planes. Perpendicular to the normal, the unit is
 the pixel size. The value is not zero, because positions in headers are rounded.
 """
 _OFF_STATED = 0.01
-"""Largest relative difference between the measured and the stated distance of neighbouring planes.
+"""Largest relative difference between measured and stated distance of neighbouring image planes.
 
 For example, a header may state 0.67 mm for 2/3 mm.
 """
@@ -51,12 +51,12 @@ class Masks:
     Attributes
     ----------
     grid
-        Image on the grid of the masks. All values are zero, in uint16.
+        Image that defines the grid of the masks. All its values are zero (uint16).
     segments
         Number and name of each segment.
     masks
-        Number of a segment, index of a plane along the last axis, and mask of the segment in this
-        plane. If the index is None, the mask has the shape of the grid.
+        Tuples of a segment's number, the index of a plane along the last axis, and the segment's
+        mask in this plane. If the index is None, the mask has the shape of the grid.
     """
 
     grid: StoredImage | Image
@@ -67,14 +67,14 @@ class Masks:
 def dicom_masks(path: Path, image: Image | None) -> Masks | None:
     """Read the segmentation or structure set in a file, or the only such object in a folder.
 
-    The outlines of a structure set are drawn on the voxels of `image`. The result is None for all
-    other files and folders.
+    The outlines of a structure set are drawn on the voxels of `image`. The result is None if the
+    path contains no such object.
 
     Raises
     ------
     InputError
-        If a folder contains several of these objects, if the object is damaged, if its planes are
-        not evenly spaced, or if a structure set is read without an image.
+        If a folder contains several such objects, or a structure set is read without `image`. Also
+        raised if the object is damaged or its planes are not evenly spaced.
     """
     files = [path]
     if is_folder(path):
@@ -104,10 +104,10 @@ def dicom_masks(path: Path, image: Image | None) -> Masks | None:
 
 
 def _segmentation(file: Path, dataset: Any, source: str) -> Masks:
-    """Read a segmentation, in which a frame is one plane of one segment.
+    """Read a segmentation. Each frame of the file is one plane of one segment.
 
-    In a label map, a frame is one plane with all segments. Files usually omit empty frames, so
-    planes may be missing.
+    In a label map, however, a frame is one plane with all segments. Files usually omit empty
+    frames, so planes may be missing.
     """
     frames = frames_in(file, dataset, source)
     planes, step = _even_planes(frames)
@@ -211,7 +211,7 @@ def _even_planes(frames: Sequence[Frame]) -> tuple[list[int], Array | None]:
 
 
 def _side(segment: Any) -> str:
-    """Return the body side of a segment from the modifier of its type or of its region."""
+    """Return the body side that a segment's type modifier or region modifier states."""
     for key in ("SegmentedPropertyTypeCodeSequence", "AnatomicRegionSequence"):
         for code in segment.get(key) or ():
             modifiers = (
@@ -226,7 +226,7 @@ def _side(segment: Any) -> str:
 
 
 def _structure_set(dataset: Any, source: str, image: Image | None) -> Masks:
-    """Draw the closed outlines of a structure set on an image, without points and open lines."""
+    """Draw the closed outlines of a structure set on an image; points and lines are ignored."""
     if image is None:
         raise InputError(
             "labels",
@@ -251,7 +251,7 @@ def _structure_set(dataset: Any, source: str, image: Image | None) -> Masks:
 
 
 def _structures(dataset: Any) -> tuple[dict[int, str], dict[int, list[Array]]]:
-    """Return the names and the closed outlines of the structures of a set, by number."""
+    """Return names and closed outlines of a structure set: two dictionaries by structure number."""
     rois = dataset.get("StructureSetROISequence") or ()
     names = {int(each.ROINumber): str(each.get("ROIName", "")).strip() for each in rois}
     polygons: dict[int, list[Array]] = {}
@@ -272,8 +272,8 @@ def _drawn(
 
     A voxel belongs to a structure if the voxel's centre lies within an odd number of the
     structure's outlines. An outline within another outline is therefore a hole. Each plane of the
-    image uses the outlines of the nearest plane that has outlines. An image plane that is farther
-    away than half the distance between planes with outlines is empty.
+    image uses the outlines of the nearest plane that has outlines. An image plane is empty if no
+    plane with outlines is near, that is, within half the distance between such planes.
     """
     from skimage.draw import polygon2mask
 

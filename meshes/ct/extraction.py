@@ -1,4 +1,4 @@
-"""Extraction of bones and structures from a CT, by a label or by a threshold.
+"""Extraction of bones and other structures from a CT, by a label or by a threshold.
 
 The results are smooth surfaces and the density of bone.
 """
@@ -19,16 +19,19 @@ Box = tuple[tuple[float, float, float], tuple[float, float, float]]
 MARGIN = 3
 """Margin around a bone [voxel], for soft tissue and for interpolation."""
 KEPT_MARGIN = 4
-"""Margin [voxel] around a piece of a structure during smoothing, five standard deviations."""
+"""Margin [voxel] around a piece of a structure that is smoothed.
+
+The margin is five standard deviations of the smoothing wide.
+"""
 SMOOTH_VOXELS = 0.8
-"""Standard deviation of the smoothing of a label [voxel].
+"""Standard deviation [voxel] with which a label is smoothed.
 
 Smaller values do not remove the voxel steps of the label, and larger values remove thin parts. For
 a bone, the unit is the largest of the three voxel sizes. For a structure that a tool must keep
 clear of, the unit is the voxel size along each axis.
 """
 NOISE_VOXELS = 0.5
-"""Standard deviation [voxel] of the smoothing of grey values before a surface is extracted."""
+"""Standard deviation [voxel] with which grey values are smoothed before a surface is extracted."""
 CLOSED_MM = 1.5
 """Half the width of the widest gaps in a cortex that are closed [mm].
 
@@ -39,7 +42,7 @@ SUB = 4
 LEAST_SHARE = 0.5
 """Bone fraction above which the density is computed from the voxel's own grey value.
 
-Other voxels get the density of the nearest voxel above this fraction.
+A voxel with a smaller bone fraction gets the density of the nearest voxel above this fraction.
 """
 BEYOND_VOXELS = 3
 """Number of voxels by which the density is extended beyond the surface.
@@ -59,17 +62,18 @@ class BoneOfImage:
     image
         Part of the CT that contains the bone.
     field, level
-        Array with the shape of the image, and a threshold. A voxel is bone if its field value is
-        above the level.
+        Array (field) with the shape of the image, and threshold (level). A voxel is bone if the
+        value of the field is above the level.
     triangles
         Vertices [mm, LPS], shape (n, 3), and triangles, shape (m, 3).
     cuts
-        Points [m] on each face of the image that cuts off the bone.
+        Points [m] where the edge of the image cuts off the bone: one array, shape (k, 3), for each
+        connected area of the cut.
     notes
         Sentences for users.
     label_mm3
-        Volume of the label's voxels [mm3]. Without a label, the volume of the filled piece above
-        the threshold.
+        Volume of the label's voxels [mm3]. If the bone was extracted by a threshold, volume of the
+        filled piece.
     """
 
     image: Image
@@ -88,10 +92,10 @@ class BoneOfImage:
     def density(self, law: Callable[[Floats], Singles]) -> Image:
         """Compute the apparent density [kg/m3] of the bone and of voxels around it, 0 elsewhere.
 
-        A voxel that the surface crosses contains bone and soft tissue. Its grey value is the
-        weighted mean of the values of bone and soft tissue. If at least half of the voxel is bone,
-        the value of bone is computed from this mean. Otherwise, the density of the nearest voxel
-        that is at least half bone is used.
+        A voxel that the surface crosses contains bone and soft tissue. The grey value of such a
+        voxel is the weighted mean of the values of bone and soft tissue. If at least half of the
+        voxel is bone, the value of bone is computed from this mean. Otherwise, the voxel gets the
+        density of the nearest voxel that is at least half bone.
         """
         from scipy.ndimage import binary_dilation, distance_transform_edt
 
@@ -190,7 +194,7 @@ def by_label(image: Image, mask: Flags) -> BoneOfImage:
 
 
 def by_threshold(image: Image, threshold: float) -> BoneOfImage:
-    """Extract the largest connected piece above a grey value from an image, and fill its marrow."""
+    """Extract the largest connected piece above a grey value, and fill its marrow space."""
     from scipy.ndimage import binary_dilation, gaussian_filter
 
     above = image.values > threshold
@@ -210,7 +214,7 @@ def by_threshold(image: Image, threshold: float) -> BoneOfImage:
 
 
 def _laid(part: Image, field: Singles, level: float, other: float, voxels: int) -> BoneOfImage:
-    """Build the bone from the voxels in which a field is above a level.
+    """Build the bone that consists of the voxels in which a field is above a level.
 
     `other` is the size of the second-largest piece, relative to the largest.
     """
@@ -262,13 +266,13 @@ def largest_component(mask: Flags, source: str) -> tuple[Flags, float]:
 
 
 def filled(mask: Flags, image: Image) -> Flags:
-    """Fill marrow and pores of a mask.
+    """Fill the marrow space and the pores in a mask of bone.
 
     Gaps of the cortex are closed first. Then, in each plane normal to an image axis, the regions
     that the mask encloses are filled.
 
-    Three directions are used, because a bone that is cut off by the edge of the image encloses its
-    marrow only in planes of some directions.
+    Planes of three directions are used, because the edge of the image may cut off a bone. Only
+    planes of some directions then show the marrow enclosed.
     """
     from scipy.ndimage import binary_fill_holes, distance_transform_edt
 
@@ -291,8 +295,8 @@ def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints]
 
     The surface consists of vertices [mm, LPS], shape (n, 3), and triangles, shape (m, 3).
 
-    Each piece is smoothed separately, and its volume does not change. If a piece is so thin that
-    smoothing would remove it, its voxels are not smoothed.
+    Each piece is smoothed separately, and its volume does not change. A piece is not smoothed if it
+    is so thin that smoothing would remove the piece.
 
     Parameters
     ----------
@@ -347,9 +351,9 @@ def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints]
 
 
 def _smoothed(piece: Flags) -> Singles:
-    """Smooth a mask, and return a field that is positive in as many voxels as the mask has.
+    """Smooth a mask, and return a field whose number of positive voxels equals that of the mask.
 
-    The field is positive near every voxel of the mask.
+    Near every voxel of the mask, the field has a positive value.
     """
     from scipy.ndimage import binary_dilation, gaussian_filter
 

@@ -1,7 +1,7 @@
 """Inspection of a CT image.
 
-The inspection detects Hounsfield units, noise and metal, suggests a threshold of bone, and checks
-whether labels fit the values.
+The inspection detects Hounsfield units, noise and metal. It suggests a threshold of bone, and
+checks whether the image has plausible values in a label.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,8 @@ SOFT_HU = (-150, 150)
 METAL_HU = 3000
 """Hounsfield units above which a voxel is metal. No tissue exceeds this value.
 
-Enamel, the densest tissue, has up to about 2800 HU at 120 kV (from memory, confidence M).
+Enamel, the densest tissue, has up to about 2800 HU at 120 kV (from memory of the literature, medium
+confidence).
 """
 _COARSE_MM = 3.0
 """Slice distance above which slices are reported as coarse.
@@ -28,7 +29,7 @@ The value is larger than the thickness of most cortices.
 _LEAST_METAL = 8
 """Smallest number of voxels above `METAL_HU` that count as metal; fewer voxels are noise."""
 _LEAST_SHARE = 1e-3
-"""Smallest share of voxels in `AIR_HU` in an image with air.
+"""Smallest share of voxels with values in `AIR_HU` at which an image is assumed to contain air.
 
 An image with air around a patient has a far larger share.
 """
@@ -47,8 +48,8 @@ LOWEST_HU = 150.0
 HIGHEST_HU = 600.0
 """Smallest and largest threshold of bone in common use.
 
-Common thresholds are 150 HU for osteoporotic bone, 226 HU as a default of programs, and 600 HU for
-the cortex without trabecular bone.
+Common thresholds are 150 HU for osteoporotic bone, 226 HU as the default of several programs, and
+600 HU for cortical bone only.
 """
 _SOFT_PEAK_HU = (-50.0, 120.0)
 """Range in which the most frequent value of soft tissue is searched.
@@ -56,7 +57,10 @@ _SOFT_PEAK_HU = (-50.0, 120.0)
 The range includes fat, and soft tissue with contrast medium.
 """
 _MOST_HU = 1600.0
-"""Upper limit of the values used for the threshold. Enamel and metal would raise the threshold."""
+"""Upper limit of the values from which the threshold is computed.
+
+Higher values, from enamel and metal, would raise the threshold.
+"""
 _EQUAL = 1e-9
 """Relative difference below which two variances count as equal.
 
@@ -67,8 +71,8 @@ _LITTLE_BONE = 0.5
 _ALL_BONE = 0.8
 """Limits for the share of a bone's label that is above the threshold of bone.
 
-The cortex is more than a tenth of any bone. If most of the label is marrow, for example in the
-humeral head of an old person, more than half of the label may be below the threshold.
+The cortex is more than a tenth of any bone. If most of the label is marrow, more than half of the
+label may be below the threshold. An example is the humeral head of an old person.
 """
 _FLIPS = ("left to right", "front to back", "head to feet")
 _SOFT_ORGAN_HU = (-200.0, 300.0)
@@ -159,7 +163,7 @@ class Inspection:
     padding: float = 0.0
 
     def sentences(self) -> list[str]:
-        """Describe the image for users."""
+        """Return sentences that describe the image to users."""
         size = by(np.subtract(self.high_mm, self.low_mm), ".4g")
         found = [
             f"{self.source}: {by(self.shape)} voxels of {by(self.spacing_mm, '.4g')} mm, "
@@ -269,7 +273,7 @@ def _noise(values: Numbers) -> float | None:
 
 
 def suggest_threshold(histogram: Histogram, *, is_hounsfield: bool) -> tuple[float, str]:
-    """Suggest a threshold of bone, with a sentence that explains it.
+    """Suggest a threshold of bone, and return it with a sentence that explains the choice.
 
     Otsu's criterion determines the threshold between soft tissue and bone.
 
@@ -345,7 +349,9 @@ def bone_label_note(image: Image, mask: Flags, name: str) -> str:
 
 
 def soft_label_note(image: Image, mask: Flags, name: str) -> str:
-    """Return a warning if the median value in an organ's label is not soft tissue, else "".
+    """Return a warning if an organ's label does not lie on soft tissue, else an empty string.
+
+    The label does not lie on soft tissue if the median value in it is outside -200 to 300 HU.
 
     The parameters are the same as in `bone_label_note`.
     """

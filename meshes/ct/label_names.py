@@ -1,4 +1,4 @@
-"""Names of labels from known programs, from a table of the user, and from file headers."""
+"""Names of labels, read from sets of known programs, from a user's table or from file headers."""
 
 import re
 import tomllib
@@ -22,7 +22,7 @@ _HEADER_BYTES = 1 << 20
 The value allows 4 kB for each of 255 names.
 """
 _XML_NAME = re.compile(r'<Label Key="(\d+)"[^>]*>\s*<!\[CDATA\[(.*?)\]\]>', re.DOTALL)
-"""Line of the label table in an extension of a NIfTI header (Caret, TotalSegmentator)."""
+"""Regular expression for a label in a NIfTI header extension (Caret, TotalSegmentator)."""
 _SIDES = ("left", "right")
 
 
@@ -49,10 +49,9 @@ class Segment:
 
 
 def apart(segments: Sequence[Segment]) -> dict[int, str]:
-    """Return the names of segments by number.
+    """Return a dictionary from segment number to name, with side if names occur repeatedly.
 
-    If several segments have the same name, the body side that the file states is appended to the
-    name.
+    If several segments have the same name, the body side from the file is appended to this name.
     """
     counts = Counter(each.name for each in segments)
     return {
@@ -157,7 +156,7 @@ def slicer_segments(path: Path) -> list[Segment]:
 
 
 def _slicer_side(tags: str) -> str:
-    """Return the body side in the terminology of a segment of 3D Slicer.
+    """Return the body side that the terminology of a 3D Slicer segment states.
 
     The terminology is a text with parts that are separated by ~. The first four parts are the name
     of a list, the category, the type and the modifier.

@@ -36,9 +36,9 @@ _ROUNDED = 0.01
 Some programs store labels as scaled floats.
 """
 _SAME_PLACE = 1e-2
-"""Largest distance between voxel centres of two grids that count as equal [voxel]."""
+"""Largest distance [voxel] between the voxel centres of two equal grids."""
 _LOST = 0.05
-"""Largest share of a label's voxels that may lie outside an image without a note."""
+"""Share of a label's voxels outside an image above which a note is written."""
 _SHOWN_NAMES = 12
 """Largest number of names that an error message lists."""
 
@@ -50,7 +50,7 @@ def unnamed(number: int) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """Label volume in LPS [mm], and the names of its labels.
+    """Label volume in the patient frame LPS [mm], and the names of its labels.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Labels:
         return found
 
     def only(self, names: Iterable[str]) -> "Labels":
-        """Return the labels that have the given names, without all other labels.
+        """Return a copy that contains only the labels with the given names.
 
         A voxel with several labels gets the label that comes last in `names`.
         """
@@ -148,8 +148,8 @@ def read_labels(
     Raises
     ------
     InputError
-        If a file cannot be read, if values are not labels, if masks lie on different grids, or if
-        a label has no name.
+        If a file cannot be read, values are not labels, masks lie on different grids, or a label
+        has no name.
     """
     path = Path(path)
     found = dicom_masks(path, image)
@@ -202,7 +202,7 @@ def _of_volume(path: Path, spacing_mm: Spacing | None, image: Image | None) -> L
 def _of_layers(stored: StoredImage, path: Path, image: Image | None) -> Labels:
     """Return the segments of a file with several layers.
 
-    If the header lists no segments, or the segments have no voxels, an error is raised.
+    An error is raised if the header lists no segments, or if the segments have no voxels.
     """
     segments = slicer_segments(path)
     layers = stored.values
@@ -216,7 +216,7 @@ def _of_layers(stored: StoredImage, path: Path, image: Image | None) -> Labels:
 
 
 def _overlaid(found: Masks, source: str, lattice: Image | None = None) -> Labels:
-    """Combine masks, which may overlap, in one label volume in LPS.
+    """Combine masks, which may overlap, into one label volume in the patient frame LPS.
 
     Each combination of labels that occurs in a voxel has its own number. The argument `lattice` is
     described in `meshes.images.frame.along_lps`.
@@ -315,7 +315,7 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
 
 
 def _of_masks(folder: Path) -> Labels:
-    """Read a folder of masks, each with the name of its label."""
+    """Read a folder of mask files. The name of each file is the name of the label."""
     masks = sorted(
         file
         for file in folder.iterdir()

@@ -29,23 +29,26 @@ def image_volume(
     resample_mm: float | None = None,
     remark: Callable[[str], None] | None = None,
 ) -> VoxelVolume:
-    """Convert an image to bone voxels of one layer.
+    """Convert an image to bone voxels, which all belong to one layer.
 
     The origin of the result is the centre of the top face of the voxel block, and +z is upward. The
-    result also contains the position of the block in LPS.
+    result also contains the position of the voxel block in the patient frame LPS.
 
     Parameters
     ----------
     threshold
         Grey value above which a voxel is bone.
     density_kg_m3
-        Density of the bone in a voxel: one value [kg/m3], or a law of the grey value.
+        Density of the bone in a voxel: one value [kg/m3], or a function that computes the density
+        from the grey value.
     resample_mm
         New voxel size [mm]. For finer voxels, grey values are interpolated first. For coarser
         voxels, fractions are averaged, so the bone volume does not change. If None, the voxel size
-        of the file is used, or the smallest of its three voxel sizes if they differ.
+        of the image is used. If the image has different voxel sizes along its axes, the smallest is
+        used.
     remark
-        Function that is called with each sentence about an assumption.
+        Function that is called once for each assumption, with a sentence that describes the
+        assumption.
 
     Raises
     ------
@@ -127,7 +130,7 @@ def _require_size(
 
 
 def _refined(values: Numbers, from_mm: tuple[float, float, float], to_mm: float) -> Numbers:
-    """Interpolate linearly to the spacing `to_mm` along each axis whose spacing is coarser."""
+    """Interpolate linearly to the spacing `to_mm` along each axis with a coarser spacing."""
     from scipy.ndimage import affine_transform
 
     sizes = np.array(from_mm)
@@ -149,7 +152,7 @@ def _refined(values: Numbers, from_mm: tuple[float, float, float], to_mm: float)
 
 
 def _averaged(values: Singles, axis: int, ratio: float) -> Singles:
-    """Average groups of `ratio` consecutive voxels along an axis. The ratio need not be an integer.
+    """Average groups of `ratio` consecutive voxels along an axis. The ratio may be a fraction.
 
     The weight of a voxel is the fraction of the voxel that lies in the group. With a ratio of 1,
     the values are returned unchanged.
@@ -203,9 +206,9 @@ def image_triangles(image: Image, *, threshold: float) -> tuple[Array, Ints]:
 
 
 def image_cuts(image: Image, *, threshold: float) -> tuple[Array, ...]:
-    """Return points on each face of the image that cuts off the region above a grey value.
+    """Return points [m] on the cuts where the image ends inside the region above a grey value.
 
-    The points are in m, shape (k, 3).
+    The result has one array, shape (k, 3), for each connected area of the cuts.
     """
     from scipy.ndimage import find_objects, label
 

@@ -12,13 +12,13 @@ from meshes.base.file_limits import require_memory, require_regular
 
 _GZIP = b"\x1f\x8b"
 _ZLIB_OR_GZIP = 47
-"""Argument of zlib: 15 for the largest window, plus 32 to detect zlib or gzip from the header."""
+"""Window argument of zlib: 15 for the largest window, plus 32 to detect zlib or gzip data."""
 _DENSEST = 1100
-"""Upper bound of the ratio of inflated to compressed size. For deflate, it is at most 1032."""
+"""Upper bound of inflated size / compressed size. The format deflate allows at most 1032."""
 _PIECE = 1 << 17
 """Number of bytes read or inflated at once.
 
-The number is small, so that only the voxel array needs much memory.
+The number is small compared with the size of the voxel array, so the pieces need little memory.
 """
 
 
@@ -49,8 +49,8 @@ def read_voxels(
     Parameters
     ----------
     start
-        Byte of the file at which the data begins. If `compressed` is set, the data has the format
-        zlib or gzip.
+        Position [byte] in the file at which the data begins. If `compressed` is true, the data has
+        the format zlib or gzip.
     skip
         Number of bytes before the voxels in the inflated data.
 
@@ -83,7 +83,7 @@ def read_voxels(
 def scaled(values: Numbers, slope: float, intercept: float) -> Numbers:
     """Return values times slope plus intercept, in float32 or float64.
 
-    The values are returned unchanged if slope and intercept have no effect.
+    If the slope is 1 and the intercept is 0, the values are returned unchanged.
     """
     if (slope, intercept) == (1.0, 0.0):
         return values

@@ -33,27 +33,27 @@ _INVERTED = "MONOCHROME1"
 """Photometric interpretation in which low values are displayed as white."""
 _GREY = ("MONOCHROME2", _INVERTED)
 _THICK_MM = 3.0
-"""Slice thickness [mm] from which a note is written, more than the thickness of most cortices."""
+"""Slice thickness [mm] from which a note is written. Most cortices are thinner than this value."""
 _THICKER = 1.05
 """Ratio of slice thickness to slice distance above which slices overlap.
 
 The ratio is larger than 1, because values in headers are rounded.
 """
 _AIR_HU = (-1100.0, -900.0)
-"""Range of values of air, -1000 HU. Noise and scatter change this value by less than 100 HU."""
+"""Range of values of air. Noise and scatter change air's -1000 HU by less than 100 HU."""
 
 
 def read_dicom(path: Path, *, series: int | None = None) -> StoredImage:
     """Read the only series in a folder and its subfolders, or the series with the number `series`.
 
-    The path may also be the folder's DICOMDIR or a file with many frames. Each slice has its own
-    slope and intercept. Voxels with the padding value get the lowest other value of their slice.
+    The path may also be a DICOMDIR file or a file with many frames. Each slice has its own slope
+    and intercept. Voxels with the padding value get the lowest of the other values in their slice.
 
     Raises
     ------
     InputError
-        If the folder contains no series, or several series and no number is given, if a file is
-        damaged, or if the slices are not evenly spaced grey images.
+        If the folder contains no series, or contains several series and `series` is None. Also
+        raised if a file is damaged, or if the slices are not evenly spaced grey images.
     """
     files, notes = dicom_files(path)
     source = path.parent.name if path.name.upper() == "DICOMDIR" else path.name
@@ -123,8 +123,8 @@ def _of_one_series(
     """Return the frames of the only series, or of the series with the number `series`, and notes.
 
     If a series has several slices, series with a single slice, such as a scout or a dose report,
-    are ignored. Series are distinguished by identifier and number. Messages state only the series
-    number and the number of slices.
+    are ignored. Series are distinguished by identifier and number. To protect patient data,
+    messages state only the series number and the number of slices.
     """
     names = [(str(frame.header["SeriesInstanceUID"]), _series_number(frame)) for frame in frames]
     counts = Counter(names)
@@ -213,7 +213,10 @@ def _decompressed(frame: Frame, dataset: Any) -> Numbers:
 
 
 def _ends(each: Frame) -> int:
-    """Return the sum of the lowest and the highest value that a slice can store."""
+    """Return the sum of the lowest and the highest storable value of a slice.
+
+    To invert a stored value, subtract the value from this sum.
+    """
     bits = int(each.number("BitsStored", 16.0))
     is_signed = int(each.number("PixelRepresentation", 0.0)) == 1
     return -1 if is_signed else 2**bits - 1
@@ -222,7 +225,7 @@ def _ends(each: Frame) -> int:
 def _scaled(stored: Numbers, slices: Sequence[Frame]) -> tuple[Numbers, int]:
     """Apply the scale of each slice, and return grey values and the number of padding voxels.
 
-    Voxels with the padding value get the lowest other value of their slice.
+    Voxels with the padding value get the lowest of the other values in their slice.
     """
     whole = all(each.slope == 1.0 and each.intercept.is_integer() for each in slices)
     values = np.empty(stored.shape, dtype=np.int32 if whole else np.float32)
@@ -241,11 +244,11 @@ def _scaled(stored: Numbers, slices: Sequence[Frame]) -> tuple[Numbers, int]:
 
 
 def _upright(stored: Numbers, slices: Sequence[Frame], source: str) -> tuple[Numbers, str]:
-    """Invert MONOCHROME1 values if slope and intercept require it, and return values and a note.
+    """Invert MONOCHROME1 values if needed, and return the values and a note.
 
     Slope and intercept convert stored values to Hounsfield units, independent of the display (DICOM
     PS3.3, C.11.1). Some programs invert the stored values without changing slope and intercept. The
-    values are inverted again if the number of voxels with the value of air then increases.
+    stored values are therefore inverted again if more voxels then have the value of air.
     """
     ends = np.array([_ends(each) for each in slices], dtype=np.int32)
     inverted = ends[:, None, None] - stored.astype(np.int32)

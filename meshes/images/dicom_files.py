@@ -1,9 +1,10 @@
 """DICOM files of a folder and the headers of their frames.
 
 No data that identifies a patient leaves this module. Only the header elements in `_READ` are read.
-They state kind, size, position, scale and series. Messages contain the index of a file in the order
-of the file names instead of its name, because exporters write patient names, dates and identifiers
-into file names. The name of the folder may appear, because the user chose it.
+These elements state kind, size, position, scale and series of an image. Exporters write patient
+names, dates and identifiers into file names. Messages therefore refer to a file by its index in the
+sorted list of file names. Messages may contain the name of the folder, because the user chose this
+name.
 """
 
 import os
@@ -67,7 +68,7 @@ _READ = (
 )
 _SHARED = "SharedFunctionalGroupsSequence"
 _EACH = "PerFrameFunctionalGroupsSequence"
-"""Names of the header sequences for all frames and for each frame of a multi-frame file."""
+"""Names of two header sequences of multi-frame files: for all frames together, and per frame."""
 _MAGIC = b"DICM"
 _PREAMBLE = 128
 """Number of unused bytes at the start of a file, before `_MAGIC` (DICOM PS3.10, 7.1)."""
@@ -78,29 +79,31 @@ _FIRST_ELEMENTS = tuple(
 _GROUP_LENGTH_BYTES = 12
 """Size of the element that states the length of its group.
 
-Its tag has 4 bytes, its type 2, its length 2 and its value 4 bytes.
+The element consists of a tag (4 bytes), a type (2 bytes), a length (2 bytes) and a value (4 bytes).
 """
 _PIECE = 1 << 20
 """Number of bytes of a deflated file that are inflated at once.
 
-A small file that inflates to a very large size is therefore detected at the memory limit.
+A small file that inflates to a very large size is therefore detected when it exceeds the memory
+limit.
 """
 _UNDEFINED_LENGTH = 0xFFFFFFFF
 """Length that the header states for pixels that are compressed in fragments (DICOM PS3.5, A.4)."""
 _MOST_FILES = 50_000
 """Largest number of files. The export of one examination has fewer files."""
 _COARSEST_MM = 0.1
-"""Upper limit of the unit of the last decimal of a position [mm].
+"""Upper limit [mm] of the rounding step that is assumed for a position in a header.
 
-Positions in whole millimetres are usually exact.
+The rounding step is one unit of the last decimal. It is limited, because positions in whole
+millimetres are usually exact.
 """
 _OTHER_OBJECTS = ("SEG", "RTSTRUCT", "RTPLAN", "RTDOSE", "SR", "PR", "KO", "REG", "DOC")
-"""Modalities of objects without grey values, which exporters write next to an image."""
+"""DICOM modalities without grey values. Exporters write such objects next to an image."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Frame (one image plane) of a DICOM file. Most files contain one frame.
+    """Frame (one image plane) in a DICOM file. Most files contain one frame.
 
     The properties are read from the header when they are first used. A missing or damaged number
     raises an `InputError`.
@@ -187,7 +190,7 @@ def _last_decimal(number: object) -> float:
 
 
 def refused(what: str, requirement: str, found: str) -> InputError:
-    """Return the error for a series that the user has to export again."""
+    """Return the error for a DICOM series that cannot be used and must be exported again."""
     return InputError(what, requirement, found, "export the series again")
 
 
@@ -198,10 +201,10 @@ def damaged(place: str) -> InputError:
 
 @contextmanager
 def reading(place: str) -> Iterator[None]:
-    """Raise the error of `damaged` for any error of pydicom in a ``with`` block.
+    """Convert any error of pydicom in a ``with`` block to the error that `damaged` returns.
 
-    pydicom raises many types of errors for a damaged file. Its warnings quote the content of the
-    header and are suppressed.
+    pydicom raises many types of errors for a damaged file. The warnings of pydicom are suppressed,
+    because they quote the content of the header.
     """
     try:
         with warnings.catch_warnings():
@@ -214,7 +217,7 @@ def reading(place: str) -> Iterator[None]:
 
 
 def is_dicom(file: Path) -> bool:
-    """Return whether a file starts like a DICOM file, with or without a preamble."""
+    """Return whether the first bytes of a file are those of DICOM, with or without a preamble."""
     with file.open("rb") as stream:
         head = stream.read(_PREAMBLE + len(_MAGIC))
     return head[_PREAMBLE:] == _MAGIC or head.startswith(_FIRST_ELEMENTS)
@@ -223,13 +226,12 @@ def is_dicom(file: Path) -> bool:
 def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
     """Return the DICOM files of a path, each with a description for messages, and a list of notes.
 
-    The path is a folder, its DICOMDIR, or one file. Subfolders are searched too.
+    The path is a folder, a folder's DICOMDIR, or one file. Subfolders are searched too.
 
     Raises
     ------
     InputError
-        If there are no DICOM files, or if a file that is not DICOM has the same suffix as the DICOM
-        files.
+        If there are no DICOM files, or if a file with the suffix of the DICOM files is not DICOM.
     """
     if not is_folder(path) and path.name.upper() != "DICOMDIR":
         return [(path, path.name)], []
@@ -263,7 +265,7 @@ def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
 
 
 def files_in(folder: Path) -> list[Path]:
-    """Return the sorted files in a folder and its subfolders that may be DICOM files by name.
+    """Return the sorted files in a folder and its subfolders, without files named as other types.
 
     Raises
     ------
@@ -350,7 +352,7 @@ def read_dataset(file: Path, place: str, further: Sequence[str] = ()) -> Any:
 
 
 def modality_of(dataset: Any, place: str) -> str:
-    """Return the kind of an object, such as CT or SEG."""
+    """Return the modality of a DICOM dataset, such as CT or SEG."""
     with reading(place):  # pydicom converts an element when it is first used
         return str(dataset.get("Modality", ""))
 
@@ -372,7 +374,7 @@ def frames_in(file: Path, dataset: Any, place: str) -> list[Frame]:
 
 
 def _flat(items: Sequence[Any] | None) -> dict[str, Any]:
-    """Return the elements in `_READ` from functional groups, for one frame or for all frames."""
+    """Return the elements in `_READ` from the functional groups of one frame or of all frames."""
     found = {}
     for item in items or ():
         for element in item:

@@ -15,14 +15,14 @@ _PARALLEL = 1e-4
 This difference moves a point at a distance of 500 mm by 0.05 mm.
 """
 _UNIT = 1e-3
-"""Tolerance of unit vectors and right angles, and relative tolerance of pixel spacings.
+"""Tolerance for unit lengths and right angles, and relative tolerance of pixel spacings.
 
 Values in headers are rounded.
 """
 _UNEVEN = 0.05
 """Largest distance of a slice from its expected position in a stack, in slice spacings."""
 _ROUNDED = 0.75
-"""Largest distance of a slice from its expected position, in units of the last stored decimal.
+"""Largest distance of a slice from its expected position, in units of the position's last decimal.
 
 Rounding moves a slice by up to half a unit, and moves the line that is fitted to all slices by less
 than a quarter of a unit.
@@ -30,7 +30,8 @@ than a quarter of a unit.
 _MISSING = 0.4
 """Upper limit of the position tolerance that is derived from rounding, in slice spacings.
 
-If a slice is missing, other slices are half a spacing from their expected positions.
+The limit is below one half: if a slice is missing, other slices are half a spacing from their
+expected positions.
 """
 _TILT_DEG = 0.5
 """Tolerance between the stated tilt of the gantry and the tilt computed from positions [degrees].
@@ -38,14 +39,14 @@ _TILT_DEG = 0.5
 Values in headers are rounded.
 """
 _SHEAR_DEG = 0.05
-"""Shear above which a note is written. It moves a slice by 0.3 mm over a length of 300 mm.
+"""Shear angle above which a note is written. This angle is a shift of 0.3 mm over 300 mm.
 
 A smaller shear is a rounding error of positions.
 """
 
 
 def stacked(slices: Sequence[Frame], source: str) -> tuple[list[Frame], Array, list[str]]:
-    """Sort slices along the normal.
+    """Sort slices along their common normal.
 
     Return the sorted slices, the step between slices [mm, LPS], and notes.
 
@@ -144,7 +145,7 @@ def even_row(points: Array, indices: NDArray[np.integer]) -> tuple[Array, Array]
 
 
 def normal_of(first: Frame) -> Array:
-    """Return the unit normal of a slice with valid directions."""
+    """Return the unit normal of a slice, whose axes must be valid."""
     row, column = first.axes
     lengths = np.linalg.norm(first.axes, axis=1)
     if np.abs(lengths - 1.0).max() > _UNIT or abs(float(row @ column)) > _UNIT:

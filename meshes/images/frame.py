@@ -20,20 +20,26 @@ from meshes.base.errors import InputError, by, in_brackets
 
 Kind = TypeVar("Kind", bound=np.generic)
 _FARTHEST_VOXELS = 0.01
-"""Largest deviation [voxel] from a grid along LPS axes at which an image is not resampled."""
-_FLATTEST = 1e-3
-"""Tolerance of the length of direction vectors, and smallest valid determinant.
+"""Largest deviation [voxel] of voxel centres from a grid along LPS axes.
 
-A smaller determinant means that the axes lie in a plane.
+With a larger deviation, an image is resampled.
+"""
+_FLATTEST = 1e-3
+"""Tolerance of the length of direction vectors, and smallest valid determinant of three vectors.
+
+If the determinant is smaller, the vectors lie nearly in a plane.
 """
 _LARGEST_MM = 10_000.0
 _SMALLEST_MM = 1e-5
-"""Limits of the spacing [mm], from nanometres in microscopy to metres.
+"""Limits of the voxel spacing [mm], from nanometres in microscopy to metres.
 
 Values outside the limits occur only in damaged headers.
 """
 _FARTHEST_ORIGIN_MM = 1e6
-"""Largest distance of the origin, 1 km. The rounding error of such positions is 1e-7 mm."""
+"""Largest coordinate of an image's origin [mm], 1 km.
+
+At this distance, coordinates have a rounding error of 1e-7 mm.
+"""
 _MOST_VOXELS = 1e9
 """Largest number of voxels after resampling.
 
@@ -48,8 +54,8 @@ class Image:
     The axes are +x left, +y back and +z head.
 
     The centre of voxel (i, j, k) is ``origin_mm + spacing_mm * (i, j, k)``, for any order and
-    direction of the axes in the file. TIFF slices have no frame. Their axes are columns, rows and
-    slices, and their origin is (0, 0, 0).
+    direction of the axes in the file. TIFF slices have no patient frame. For such images, x, y and
+    z are the directions of columns, rows and slices, and the origin is (0, 0, 0).
 
     Attributes
     ----------
@@ -82,7 +88,7 @@ class Image:
         return replace(self, values=values, origin_mm=(x, y, z))
 
     def part(self, box: tuple[slice, ...]) -> "Image":
-        """Return a part of the image as a copy. The slices must have a start."""
+        """Return a part of the image as a copy. Every slice in `box` must have a start index."""
         values = np.ascontiguousarray(self.values[box])
         return self.starting_at([each.start for each in box], values)
 
@@ -125,8 +131,9 @@ def along_lps(
     """Convert an image to LPS axes.
 
     If the axes are LPS axes in any order and direction, the array is transposed and flipped without
-    interpolation. Other images are resampled, with a note: grey values by cubic splines, labels by
-    nearest neighbour. Voxels outside the stored image get its lowest value (labels: 0).
+    interpolation. Other images are resampled, which a note reports. Grey values are interpolated by
+    cubic splines, and labels by nearest neighbour. Voxels outside the stored image get the lowest
+    value of the image, or 0 for labels.
 
     Parameters
     ----------
@@ -137,9 +144,9 @@ def along_lps(
     labels
         Whether the values are labels.
     lattice
-        Image along LPS axes. Oblique labels are resampled on the grid of this image, which is
-        extended as far as the labels reach. The labels then need no second resampling to this grid.
-        If None, the grid has the spacing of `stored`.
+        Image along LPS axes. Oblique labels are resampled on the grid of this image. The grid is
+        extended as far as the labels reach. If None, the resampled grid has the spacing of
+        `stored`.
 
     Raises
     ------
@@ -161,7 +168,7 @@ def along_lps(
 
 
 def _nearest_axes(directions: Array) -> tuple[int, ...]:
-    """Return the nearest array axis for each LPS axis, using each array axis once."""
+    """Return for each LPS axis the array axis with the nearest direction, each array axis once."""
     return max(
         permutations(range(3)),
         key=lambda order: sum(abs(directions[k, order[k]]) for k in range(3)),
@@ -171,7 +178,8 @@ def _nearest_axes(directions: Array) -> tuple[int, ...]:
 def _resampled(stored: StoredImage, source: str, labels: bool, lattice: Image | None) -> Image:
     """Resample an image on a grid along LPS axes that contains the whole image.
 
-    The grid has the spacing of the image, or is the grid of `lattice`, cropped or extended.
+    The grid has the spacing of the image. If `lattice` is given, the grid of `lattice` is used,
+    cropped or extended to the image.
     """
     steps = stored.directions * stored.spacing_mm
     inverse = np.linalg.inv(steps)
@@ -217,8 +225,8 @@ def _interpolated(
     """Interpolate grey values at the points `matrix @ index + offset` by cubic splines.
 
     Linear interpolation lowers the grey values of thin bone. In a CT, it moves 2 % of the bone
-    surface by more than half a voxel. Splines move 0.2 % of the surface by this distance. Splines
-    overshoot, so the value at a point is limited to the range of the eight voxels around the point.
+    surface by more than half a voxel. With splines, only 0.2 % of the surface moves so far. Because
+    splines overshoot, the value at a point is limited to the range of the eight voxels around it.
     """
     from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
 

@@ -1,4 +1,4 @@
-"""Files of a stack of image planes (TIFF, PNG, BMP or JPEG), in the order of the slices."""
+"""Search for the files of a stack of image planes (TIFF, PNG, BMP or JPEG), in slice order."""
 
 import re
 from collections import Counter
@@ -14,7 +14,7 @@ from meshes.images.dicom_files import is_dicom
 
 PLANE_SUFFIXES = (".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg")
 _VOLUMES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".vti", ".dcm")
-"""Suffixes of volumes. In a folder with a volume, image planes are previews and are ignored."""
+"""Suffixes of volume images. Image planes next to a volume image are previews and are ignored."""
 TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 """First bytes of TIFF and BigTIFF files, in each of the two byte orders."""
 _STARTS = (*TIFF_STARTS, b"\x89PNG")
@@ -24,7 +24,7 @@ _PATTERN_MARKS = "*?["
 def plane_files(path: Path) -> list[Path]:
     """Return the files of a stack of image planes, in the order of the slices.
 
-    The list is empty for other images, and for folders with DICOM files or volumes.
+    The list is empty for images of other types, and for folders with DICOM files or volume images.
 
     Files are ordered by the numbers in their names: ``slice_2`` comes before ``slice_10``.
 
@@ -36,7 +36,7 @@ def plane_files(path: Path) -> list[Path]:
     Raises
     ------
     InputError
-        If the path does not exist, a file name does not match the other names, or a slice number is
+        If the path does not exist, a file name has another form than the rest, or a slice number is
         missing.
     """
     if any(mark in path.name for mark in _PATTERN_MARKS) and not path.exists():
@@ -70,7 +70,7 @@ def plane_files(path: Path) -> list[Path]:
 def _in_folder(folder: Path) -> list[Path]:
     """Return the plane files of the most frequent kind in a folder.
 
-    If the folder contains nothing but one subfolder, return the plane files of the subfolder.
+    If the folder contains only one subfolder, return the plane files of this subfolder.
     """
     held = [each for each in folder.iterdir() if not each.name.startswith(".")]
     if len(held) == 1 and held[0].is_dir() and not held[0].is_symlink():

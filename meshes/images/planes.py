@@ -18,7 +18,7 @@ _LOSSY = (".jpg", ".jpeg")
 _MIN_IS_WHITE = 0
 _PALETTE = 3
 _UNCOMPRESSED = 1
-"""Values of the TIFF tags PhotometricInterpretation and Compression in TIFF 6.0."""
+"""Values of the tags PhotometricInterpretation and Compression in the TIFF 6.0 standard."""
 _GREY = (0.2126, 0.7152, 0.0722)
 """Weights of red, green and blue in the brightness of a colour (ITU-R BT.709)."""
 _MODES = {
@@ -61,7 +61,7 @@ class _Planes:
     dtype
         Type of the values.
     reduced
-        Number of additional reduced pictures (thumbnails) in the file.
+        Number of additional pictures of reduced size (thumbnails) in the file.
     """
 
     shape: tuple[int, int, int, int]
@@ -75,11 +75,11 @@ class _Planes:
 def read_planes(
     files: Sequence[Path], spacing_mm: tuple[float, float, float], *, labels: bool = False
 ) -> StoredImage:
-    """Read planes in the given order. The axes of the result are columns, rows and slices.
+    """Read image planes and stack them in the order of `files`.
 
-    Values that are stored inverted (MinIsWhite) are inverted again. Colours are converted to grey
-    values, or to one number per colour if the planes contain labels. Each change is reported in a
-    note.
+    The array axes of the result are columns, rows and slices. Values that are stored inverted
+    (MinIsWhite) are inverted again. Colours are converted to grey values, or to one number per
+    colour if the planes contain labels. Each change is reported in a note.
 
     Raises
     ------
@@ -150,8 +150,8 @@ def _without_colour(
 
     Return the values, the names of the labels, and a note.
 
-    Labels have one name for each colour. Grey values have no names. If a pixel has two or four
-    samples, the last sample is the opacity. Transparent pixels become black.
+    Labels have one name for each colour. If a pixel has two or four samples, the last sample is the
+    opacity. Transparent pixels become black.
     """
     samples = values.shape[-1]
     if samples in (2, 4):
@@ -190,7 +190,7 @@ def _without_colour(
 
 
 def _planes(file: Path) -> _Planes:
-    """Read the header of a file."""
+    """Read the header of an image file of any supported type."""
     try:
         with file.open("rb") as stream:
             is_tiff = stream.read(4).startswith(TIFF_STARTS)
@@ -287,7 +287,7 @@ def _decoded(file: Path, planes: _Planes) -> Numbers:
 
 
 def _array(file: Path) -> Numbers:
-    """Return the array of a file."""
+    """Read the pixel array of an image file."""
     import tifffile
     from PIL import Image
 

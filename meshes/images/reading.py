@@ -1,4 +1,6 @@
-"""Reading of image volumes. NIfTI and VTK files are read here, other formats by other modules.
+"""Reading of image volumes.
+
+This module reads NIfTI and VTK files, and calls other modules for all other formats.
 
 nibabel reads the header of a NIfTI image. All numbers that determine the position or the scale of
 the voxels are checked or applied.
@@ -44,9 +46,9 @@ Header = Any
 _TO_LPS = np.array([-1.0, -1.0, 1.0])
 """Signs that convert NIfTI axes (+x right, +y front, +z up) to LPS."""
 _UNITS_MM = {0: 1.0, 1: 1000.0, 2: 1.0, 3: 1e-3}
-"""Length [mm] of a NIfTI unit by its code. Codes 0 to 3 are: not stated, m, mm and um."""
+"""Length [mm] of each NIfTI unit, by unit code. Codes 0 to 3 mean: not stated, m, mm and um."""
 _AGREE = 1e-3
-"""Relative difference up to which spacings count as equal.
+"""Relative difference up to which two voxel spacings count as equal.
 
 Spacings are stored in single precision.
 """
@@ -56,8 +58,8 @@ _SINGLE_FILE = (b"n+1", b"n+2")
 def read_nifti(path: Path) -> StoredImage:
     """Read a NIfTI-1 or -2 image (`.nii`, `.nii.gz`) with slope, intercept, units and position.
 
-    The position is read from the sform if the code of the sform is above 0, else from the qform. If
-    the code of the qform is also 0, the axes are assumed to be LPS with the origin (0, 0, 0).
+    The position is read from the header's sform if the sform's code is above 0, else from the
+    qform. If both codes are 0, the array axes are assumed to be LPS axes with the origin (0, 0, 0).
 
     Raises
     ------
@@ -195,7 +197,7 @@ def _affine(header: Header, path: Path, notes: list[str]) -> Array:
 def read_vtk_image(path: Path) -> StoredImage:
     """Read the active array of a `.vti` image.
 
-    VTK files do not state a patient frame, so the axes are assumed to be LPS.
+    VTK files do not state a patient frame, so the array axes are assumed to be LPS axes.
     """
     facts, arrays = parse_isolated(
         "meshes.images.reading:vtk_voxels", path, what="image volume", remedy="export it again"
@@ -211,8 +213,8 @@ def vtk_voxels(file: Path) -> Answer:
 
     In the array, the first index varies fastest.
 
-    The rows of the frame are the directions of the three axes, the spacing, and the centre of the
-    first voxel.
+    The frame is an array with five rows: the directions of the three axes, the spacing, and the
+    centre of the first voxel.
 
     Raises
     ------
@@ -267,9 +269,9 @@ _REMEDY = (
     "PNG or BMP slices"
 )
 _SHORTEST_MM = 0.5
-"""Length of the longest side [mm] below which the header is probably in metres.
+"""Length [mm] of an image's longest side below which the header is probably in metres.
 
-If such a header is read in mm, a bone of 0.5 m has a length of 0.5 mm.
+If a header in metres is read in mm, a bone of 0.5 m has a length of 0.5 mm.
 """
 
 
@@ -329,7 +331,7 @@ def stored_image(
 ) -> StoredImage:
     """Read an image volume along the axes of its file, see `read_image`.
 
-    For files with several label layers, the first axis of the result is the layer index.
+    For files with several label layers, the first index of the result's array is the layer.
     """
     given = None if spacing_mm is None else _given_spacing(spacing_mm)
     planes = plane_files(path)
@@ -379,9 +381,9 @@ def stored_image(
 
 
 def _without_nan(values: Numbers, source: str, labels: bool) -> tuple[Numbers, str]:
-    """Replace NaN, which marks voxels outside the scan, and return a note.
+    """Replace NaN values, which mark voxels outside the scan, and return a note on the replacement.
 
-    Grey values become the lowest value of the image, and labels become 0.
+    In grey images, NaN is replaced by the lowest value. In label images, NaN is replaced by 0.
     """
     missing = np.isnan(values)
     if missing.all() or not np.isfinite(values[~missing]).all():
@@ -430,7 +432,7 @@ def _stored(path: Path, series: int | None) -> StoredImage:
 
 
 def _is_dicom_file(path: Path) -> bool:
-    """Return whether a file is the index of a DICOM folder, or starts like DICOM."""
+    """Return whether a file is the index of a DICOM folder (DICOMDIR) or a DICOM file."""
     if path.name.lower().endswith((*_READERS, *PLANE_SUFFIXES)):
         return False
     require_regular(path)

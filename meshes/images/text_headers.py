@@ -1,8 +1,8 @@
-"""Reading of MetaImage and NRRD images, which consist of text lines and an array, without ITK.
+"""Reading of MetaImage and NRRD images, which consist of a text header and an array.
 
-ITK returns uninitialised memory if compressed voxels are damaged or their size is missing in the
-header. ITK also ignores slopes and units, reads invalid numbers as 0, and prints messages on the
-terminal.
+The library ITK is not used. It returns uninitialised memory if compressed voxels are damaged or
+their size is missing in the header. ITK also ignores slopes and units, reads invalid numbers as 0,
+and prints messages on the terminal.
 """
 
 import re
@@ -38,7 +38,7 @@ _BYTES = {
     **dict.fromkeys(("int", "int32", "long"), 4),
     **dict.fromkeys(("longlong", "long long", "int64"), 8),
 }
-"""Number of bytes of each integer type. LONG of a MetaImage has four bytes on every machine."""
+"""Number of bytes of each integer type. In a MetaImage, LONG has four bytes on every machine."""
 
 
 def header_lines(path: Path, separator: str, last: str) -> tuple[dict[str, str], int]:
@@ -51,8 +51,8 @@ def header_lines(path: Path, separator: str, last: str) -> tuple[dict[str, str],
     Parameters
     ----------
     last
-        Key of the last line of the header. An empty line also ends the header. The first line
-        without a separator is stored under the key "first".
+        Key of the line that ends the header. An empty line also ends the header. The first line
+        without a separator is returned under the key "first".
     """
     with path.open("rb") as stream:
         data = stream.read(_LONGEST_HEADER)
@@ -101,7 +101,7 @@ def numbers(fields: Fields, key: str, path: Path, *, positive: bool = False) -> 
 def _stated(
     fields: Fields, keys: Sequence[str], absent: Array, path: Path, *, positive: bool = False
 ) -> Array:
-    """Return the numbers of the first key in `keys` that the header contains, or a default."""
+    """Return the numbers of the first of `keys` that is in the header, or the default `absent`."""
     key = next((key for key in keys if key in fields), "")
     found = numbers(fields, key, path, positive=positive)
     if found is None:
@@ -124,9 +124,10 @@ def _unit_mm(words: Sequence[str], path: Path) -> float:
 
 
 def _code(name: str) -> str | None:
-    """Return the NumPy code of a type that a header names, without byte order; None if unknown.
+    """Return the NumPy type code, without byte order, of a type name in a header; None if unknown.
 
-    Names of both formats are known, such as ``unsigned short int``, ``uint16_t``, ``ULONG_LONG``.
+    The type names of MetaImage and NRRD are supported, such as ``unsigned short int``,
+    ``uint16_t``, ``ULONG_LONG``.
     """
     name = name.lower().replace("_t", "").replace("_", " ").removeprefix("signed ")
     plain = name.removeprefix("unsigned ").removeprefix("u")
@@ -178,7 +179,10 @@ _DIRECTIONS = ("transformmatrix", "rotation", "orientation")
 _PLACES = ("offset", "position", "origin")
 _SPACINGS = ("elementspacing", "elementsize")
 _ALONG_LPS = ("RAI", "???")
-"""MetaImage codes of LPS axes, which start at right, front (anterior) and feet (inferior)."""
+"""MetaImage codes that mean LPS axes.
+
+The letters state where an axis starts: right, anterior or inferior.
+"""
 
 
 def read_metaimage(path: Path) -> StoredImage:
@@ -319,7 +323,7 @@ def read_nrrd(path: Path) -> StoredImage:
 
 
 def _without_layers(fields: dict[str, str]) -> tuple[tuple[int, str] | None, dict[str, str]]:
-    """Return index and size of a NRRD image's layer axis, and the header without this axis."""
+    """Return index and size of the layer axis of a NRRD image, and the header without this axis."""
     kinds = fields.get("kinds", "").lower().split()
     if fields.get("dimension") != "4" or kinds.count("list") != 1:
         return None, fields

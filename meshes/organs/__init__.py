@@ -1,1 +1,1 @@
-"""Soft organs, procedural or from label images."""
+"""Meshes of soft organs, generated procedurally or from label images."""

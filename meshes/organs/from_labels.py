@@ -1,11 +1,11 @@
-"""Tetrahedra of a segmented organ. Other labels in the organ can become parts of the mesh.
+"""Tetrahedral meshes of segmented organs. Other labels can become named parts of the mesh.
 
 A part is, for example, a tumour or a vessel.
 
 The organ is the union of its own label and the labels of its parts. Parts at the surface of the
 organ therefore belong to the organ. If a part reaches the surface of the organ or of an earlier
-part, the label of the part is extended a few voxels beyond this surface. Each voxel beyond this
-surface gets the label of the nearest voxel on the inner side of the surface. The surface of the
+part, the label of the part is extended a few voxels beyond this surface. Each voxel of this
+extension gets the label of the nearest voxel on the inner side of the surface. The surface of the
 part then crosses the surface of the organ. Without this extension, the two surfaces would nearly
 coincide, and there would be slivers between them.
 """
@@ -37,29 +37,30 @@ from meshes.voxels.label_shares import spread_labels
 from meshes.voxels.mesh_sampling import nearest_on_triangles
 
 _PER_RADIUS = 1.0 / 3.0
-"""Standard deviation of the smoothing, relative to the radius of the largest ball in the label.
+"""Standard deviation of the smoothing / radius of the largest ball in the label.
 
 On ellipsoids, smaller values leave voxel steps, and larger values round off the shape.
 """
 _DEVIATIONS = (1.0, 2.0)
-"""Limits of the standard deviation [voxel].
+"""Limits of the standard deviation of the smoothing [voxel].
 
-With more than 2 voxels, the thin edge of an organ is lost for usual voxel sizes.
+With more than 2 voxels of usual size, the thin edge of an organ is lost.
 """
 _REACH = 4.0
-"""Reach of the smoothing around a label, in standard deviations."""
+"""Distance beyond a label up to which its smoothed mask is computed, in standard deviations."""
 _LEVELS = (0.25, 0.75)
-"""Limits of the level at which the smoothed label encloses the volume of the label's voxels."""
+"""Limits for the level of the smoothed label whose level set is the organ's surface."""
 _SLOPE = -1.0
-"""First estimate of the derivative of the relative volume with respect to the level.
+"""First estimate of the derivative of the enclosed relative volume with respect to the level.
 
 Later estimates are slopes of secants.
 """
 _TRIES = 6
 _CLOSE = 2e-4
-"""Largest number of surfaces in the search for the level, and accepted volume error.
+"""Largest number of levels that the search tries, and accepted relative volume error.
 
-The volume error is relative to the volume of the voxels.
+The search looks for the level at which the smoothed label encloses the volume of the label's
+voxels.
 """
 
 
@@ -70,13 +71,13 @@ def label_triangles(label: Image) -> Triangles | None:
 
     The label is smoothed with a kernel that does not shift curved surfaces. The kernel's standard
     deviation is a third of the radius of the largest ball in the label, limited to 1 to 2 voxels.
-    The surface is the level set of the smoothed label that encloses the volume of the voxels.
-    Voxels outside the image count as outside the label.
+    The surface is a level set of the smoothed label. The level is chosen such that the surface
+    encloses the volume of the label's voxels. Voxels outside the image count as outside the label.
 
     Parameters
     ----------
     label
-        Mask of the label's voxels, with their position.
+        Image whose values are the mask of the label.
 
     Returns
     -------
@@ -128,32 +129,33 @@ def _level(smooth: Image, level: float) -> Triangles:
 
 
 _FEWEST_VOXELS = 64
-"""Smallest number of voxels of a piece that gets a surface, as in a ball of 5 voxels diameter."""
+"""Smallest number of voxels for which a surface is computed: a ball of 5 voxels in diameter."""
 _FLAT_END = 0.5
-"""Ratio of the outermost voxel plane of an organ to its largest plane, above which its end is flat.
+"""Ratio of an organ's outermost to its largest voxel plane above which the end is flat.
 
-Planes are compared by their numbers of voxels. The ratio is 0.4 for a ball with nine planes, which
-has a rounded end.
+The ratio compares the numbers of voxels in the two planes. A ball of nine voxel planes, whose end
+is round, has a ratio of 0.4.
 """
 _BEYOND = 4
 """Number of voxels by which a part's label is extended outside the organ."""
 _ENVELOPE = 0.2
-"""Additional extension of a part's label outside the organ, relative to the tetrahedra's edge.
+"""Further extension of a part's label outside the organ, relative to the tetrahedron edge.
 
-fTetWild moves the organ's surface by up to half of this distance.
+The extension is needed, because the meshing program fTetWild moves the organ's surface by up to
+half of it.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledOrgan:
-    """Organ and its parts in a label image, ready for meshing.
+    """Masks of an organ and of its parts, from which a mesh can be computed.
 
     Attributes
     ----------
     name
         Name of the organ's label.
     solid
-        Mask of the voxels of the organ and its parts, with their position.
+        Image whose values are the mask of the organ and its parts.
     parts
         Mask of the voxels of each part, by name of the part, in order of precedence.
     notes
@@ -181,7 +183,7 @@ class LabelledOrgan:
     def mesh(
         self, edge_mm: float | None = None, *, report: Progress = silent
     ) -> tuple[TetMesh, dict[str, str]]:
-        """Return the mesh of the organ with its parts in the frame of the image, and notes.
+        """Return the mesh of the organ and its parts, in the image's frame, and notes by name.
 
         Raises
         ------
@@ -207,7 +209,7 @@ class LabelledOrgan:
     def _with_parts(
         self, mesh: TetMesh, edge_mm: float, report: Progress
     ) -> tuple[TetMesh, dict[str, str]]:
-        """Add the parts to the mesh, and return the mesh and a note on each part."""
+        """Add the parts to the organ's mesh, and return the mesh and a note on each part."""
         notes = {}
         before = np.zeros(self.solid.values.shape, dtype=bool)
         beyond = _BEYOND + int(np.ceil(_ENVELOPE * edge_mm / min(self.solid.spacing_mm)))
@@ -258,13 +260,13 @@ def organ_mesh(
     parts
         Names of labels in the organ or at its surface, such as a tumour or a vessel.
     report
-        Called with the name of the current task.
+        Function that is called with the name and the finished fraction (0 to 1) of the current
+        task.
 
     Returns
     -------
-    The mesh in the frame of the image, LPS [m], and the notes. The names of the parts of the mesh
-    are `organ` and the names in `parts`. The notes are keyed by the name of the organ or part, or
-    by ``mesh``.
+    Mesh in the frame of the image, LPS [m], and notes. The values of `organ` and `parts` are the
+    names of the mesh's parts. The key of a note is the name of the organ or part, or ``mesh``.
 
     Raises
     ------
@@ -298,9 +300,9 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
 
 
 def _one_piece(body: Image, organ: Flags, name: str) -> tuple[Image, dict[str, str]]:
-    """Return the piece that contains most of the organ's label, with cavities filled, and notes.
+    """Return the piece with most of the organ's label, with its cavities filled, and notes.
 
-    The notes describe the other pieces and the edge of the image.
+    The notes describe other pieces, and cuts by the edge of the image.
     """
     from scipy.ndimage import binary_fill_holes, label
 
@@ -324,8 +326,8 @@ def _one_piece(body: Image, organ: Flags, name: str) -> tuple[Image, dict[str, s
 def _ends(solid: Image) -> list[str]:
     """Return notes on the ends of an organ.
 
-    The notes state where the edge of the image cuts off the organ, and where its labels may be
-    incomplete.
+    The notes state where the edge of the image cuts off the organ. They also state where the
+    organ's labels may be incomplete.
     """
     notes = []
     cut_mm2 = 0.0
@@ -353,7 +355,7 @@ def _ends(solid: Image) -> list[str]:
 
 
 def _pieces(name: str, mask: Flags, solid: Image, organ: str, notes: dict[str, str]) -> Flags:
-    """Return the voxels of a part in the organ, without pieces that are too small for a surface.
+    """Return the mask of a part in the organ, without pieces that are too small for a surface.
 
     Notes on problems are added to `notes`.
     """
@@ -403,8 +405,8 @@ def _part_triangles(
 ) -> tuple[Array, Ints] | None:
     """Extend the label of a part, and return the surface of the extended label.
 
-    The label is extended outside the organ and into earlier parts. Each voxel there gets the label
-    of the nearest voxel in the rest of the organ.
+    The label is extended outside the organ and into earlier parts. Each voxel of this extension
+    gets the label of the nearest voxel in the rest of the organ.
     """
     from scipy.ndimage import distance_transform_edt
 

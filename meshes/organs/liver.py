@@ -41,39 +41,40 @@ from meshes.tets.tetrahedra import TetMesh
 _TOP_M = (-0.026, 0.0)
 """Position of the right lobe's dome, x and y [m], before the liver is moved to the site frame."""
 _SIZE = 0.94
-"""Scale factor with which the combined basic shapes have the sizes in the table above."""
+"""Scale factor with which the combined basic shapes have the sizes in the module docstring."""
 _TRIES = 4
 """Number of radii that are tried for a nodule with the required volume."""
 _NODULE_EDGES = 3.0
 _NODULE_GROWTH = 1.0
-"""Number of edges across a nodule, and increase of the edge length per distance from the nodule.
+"""Number of tetrahedron edges across a nodule, and growth of the edge length with distance.
 
-If the edges were as long as the radius, a nodule with a diameter of 18 mm would lose 13 % of its
-volume. The error of the force above the nodule would then be up to 2 %, a fifth of the nodule's
+The growth is the increase of the edge length per distance from the nodule. If edges were as long as
+the nodule's radius, a nodule of 18 mm diameter would lose 13 % of its volume. The force on a tool
+above the nodule would then have an error of up to 2 %. This error is a fifth of the nodule's
 contribution to the force.
 """
 _NEAR_M = 1e-5
-"""Half the step of the finite differences for a slope [m]."""
+"""Half the step [m] of the finite differences for the gradient of the signed distance."""
 _PROJECTIONS = 4
-"""Number of Newton steps onto the surface.
+"""Number of Newton steps that move a point onto the liver's surface.
 
 The signed distance of the liver is nearly exact, so each step squares the relative error.
 """
 _VISCERAL = (0.33, 0.10, -0.94)
-"""Outward direction of the visceral side. This side is inclined towards the thin left lobe."""
+"""Outward direction of the visceral side, which is inclined towards the thin left lobe."""
 LIVER_REGIONS = {"below": (_VISCERAL, 55.0), "back": ((0.0, 1.0, 0.0), 45.0)}
-"""Surfaces at which a liver may be fixed, each given by a direction and an angle [degrees].
+"""Surfaces at which a liver may be fixed, by name: direction and angle [degrees].
 
 A surface consists of the triangles whose normals deviate from the direction by at most the angle.
 
-The surfaces are the visceral side on which the liver rests, and the bare area in front of spine and
-vena cava.
+The surface ``below`` is the visceral side, on which the liver rests. The surface ``back`` is the
+bare area in front of the spine and the vena cava.
 """
 
 
 @dataclass(frozen=True)
 class Nodule:
-    """Stiff ball in the tissue.
+    """Stiff ball (nodule) in soft tissue.
 
     Attributes
     ----------
@@ -107,15 +108,16 @@ def liver_shape() -> Shape:
 def liver(*, spacing_m: float = 8.4e-3, nodule: Nodule | None = None) -> TetMesh:
     """Build a liver from tetrahedra of even size, in the site frame.
 
-    A nodule becomes the part ``nodule`` of the mesh. Faces of tetrahedra lie on the surface of the
-    nodule.
+    A nodule becomes the part ``nodule`` of the mesh. The faces of tetrahedra follow the surface of
+    the nodule.
 
     Parameters
     ----------
     spacing_m
-        Side of the lattice's cubes [m]. A side of 8.4 mm gives about 30,000 tetrahedra.
+        Side [m] of the lattice cubes from which the tetrahedra are built. A side of 8.4 mm gives
+        about 30,000 tetrahedra.
     nodule
-        Stiff ball. The depth of the ball below the liver's surface must be at least `spacing_m`.
+        Stiff ball. The ball must lie at least `spacing_m` below the liver's surface.
 
     Raises
     ------
@@ -175,8 +177,8 @@ def slab(
         Sides of the cells along the top face [m]. The thickness of the first layer is 0.6 times
         this spacing, and each further layer is 1.2 times as thick as the layer above.
     nodule
-        Stiff ball, which becomes the part ``nodule`` of the mesh. Faces of tetrahedra lie on its
-        surface.
+        Stiff ball, which becomes the part ``nodule`` of the mesh. The faces of tetrahedra follow
+        the nodule's surface.
 
     Raises
     ------
@@ -226,7 +228,7 @@ def _drawn() -> Shape:
 
 
 def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) -> TetMesh:
-    """Add the nodule to the mesh as a part with the volume of its ball.
+    """Add the nodule to the mesh as a part that has the volume of the nodule's ball.
 
     An error is raised if the mesh is too coarse for the nodule or the nodule is not deep enough.
     """

@@ -1,1 +1,1 @@
-"""Tool paths from files, polylines, and depth below a bone's surface."""
+"""Tool paths from files, functions for polylines, and depth of a path below a bone's surface."""

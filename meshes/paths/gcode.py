@@ -1,9 +1,9 @@
 """Conversion of G-code (RS-274) for three-axis mills to points and feeds.
 
-Straight moves (G0, G1) and arcs (G2, G3) are read in all planes, units and distance modes. Words
-that do not move the tool, such as spindle, coolant and tool numbers, are ignored and listed in a
-note. Words that would change the motion, such as drilling cycles and cutter compensation, raise an
-error that names the word.
+Straight moves (G0, G1) and arcs (G2, G3) are read in all planes, units and distance modes. Commands
+(words) that do not move the tool, such as spindle speed, coolant and tool number, are ignored and
+listed in a note. Words that would change the motion, such as drilling cycles and cutter
+compensation, raise an error that names the word.
 """
 
 import re
@@ -30,7 +30,7 @@ The controller TwinCAT 3 NC I also corrects differences of up to 0.1 mm by defau
 _WIDEST_RAD = 0.25 * pi
 """Largest angle of an arc segment that is replaced by a line [rad].
 
-Only arcs with a radius of less than 0.13 mm have such segments.
+This limit only matters for arcs with a radius of less than 0.13 mm.
 """
 _INCH_MM = 25.4
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
@@ -51,8 +51,8 @@ _STILL = (
 )
 """G words that do not move the tool and are ignored.
 
-With G43, positions refer to the tip of the tool, as in all paths of this package. G80 ends a
-drilling cycle; the start of a cycle raises an error.
+With G43, positions refer to the tip of the tool, as in all paths of this package. G80, which ends a
+drilling cycle, is ignored, because the word that starts a cycle raises an error.
 """
 _SUBPROGRAMS = ("M97", "M98", "M99")
 """M words of subprograms, which may move the tool. All other M words are ignored."""
@@ -72,14 +72,14 @@ _MEANING = {
     **dict.fromkeys(_SUBPROGRAMS, "a subprogram"),
     "G65": "a macro",
 }
-"""Meaning of common words that raise an error."""
+"""Meaning of common G-code words that raise an error, for error messages."""
 _PLANES = {"G17": ("X", "Y", "Z"), "G18": ("Z", "X", "Y"), "G19": ("Y", "Z", "X")}
-"""Axes of an arc, by the word of its plane: two axes in the plane, and the axis of a helix."""
+"""Axes by the G word of an arc's plane: two axes in the plane, and the axis of a helix."""
 _OFFSETS = {"X": "I", "Y": "J", "Z": "K"}
 
 
 class Program:
-    """Points of a program, and the state of the controller between two lines of the program.
+    """Interpreter of a G-code program, with the points so far and the state of the controller.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class Program:
     points_mm
         Points [mm] in the order of the program, in the frame of the program.
     feeds_mm_s
-        Speed to each point [mm/s], NaN for rapid moves.
+        Speed [mm/s] with which each point is approached, NaN for rapid moves.
     """
 
     def __init__(self, file: Path) -> None:
@@ -116,7 +116,7 @@ class Program:
         self._line = 0
 
     def notes(self) -> tuple[str, ...]:
-        """Return sentences on words that were ignored, and on arcs."""
+        """Return notes on ignored words and on arcs replaced by lines, one sentence each."""
         found = []
         if not self._modes["unit"]:
             found.append("the program has neither G20 nor G21, so lengths are read in mm")
@@ -168,7 +168,7 @@ class Program:
     def _numbers(self, words: list[tuple[str, float]]) -> dict[str, float]:
         """Return the numbers of a line by letter.
 
-        Parameters of words that do not move the tool are left out.
+        Numbers that are parameters of words without motion are omitted.
         """
         numbers: dict[str, float] = {}
         for letter, value in words:
@@ -188,7 +188,7 @@ class Program:
         return numbers
 
     def _take(self, codes: list[str]) -> None:
-        """Apply the G and M words of a line to the state of the controller."""
+        """Update the state of the controller by the G and M words of a line."""
         groups = [_MODES[code] for code in codes if code in _MODES]
         if len(set(groups)) < len(groups):
             raise self._refused(
@@ -340,7 +340,8 @@ def read_gcode(file: Path) -> tuple[Array, Array, tuple[str, ...]]:
 
     Returns
     -------
-    Points [mm], shape (n, 3); speed to each point [mm/s], NaN for rapid moves; notes.
+    Points [mm], shape (n, 3); speed [mm/s] with which each point is approached, shape (n,), NaN for
+    rapid moves; notes.
 
     Raises
     ------

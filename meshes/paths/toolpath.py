@@ -1,9 +1,9 @@
-"""Tool path from a file, in a patient frame, and its depth below a bone's surface.
+"""Tool paths from files, in a patient frame, and their depth below a bone's surface.
 
 A path is read from a CSV table, a curve of 3D Slicer, or G-code (see `meshes.paths.gcode`).
 
-For a replayed motion, a path is converted to a table of poses. The table contains times, and tip
-positions and orientations in the site's frame.
+A path can be converted to a replay table, which the simulation uses to move the tool along the
+path. The table contains times, and positions and orientations of the tool in the site's frame.
 """
 
 import csv
@@ -29,7 +29,7 @@ from meshes.voxels.mesh_sampling import inside_scattered, triangle_distance
 
 
 def arc_length(corners: ArrayLike) -> Array:
-    """Compute the path length from the first corner to each corner, shape (n,).
+    """Compute the path length, shape (n,), from the first corner to each corner.
 
     The argument `corners` has the shape (n, 3). The lengths have the unit of the corners.
     """
@@ -39,7 +39,7 @@ def arc_length(corners: ArrayLike) -> Array:
 
 
 def points_along(corners: ArrayLike, lengths: ArrayLike) -> Array:
-    """Return points at given path lengths from the first corner, shape (m, 3).
+    """Return points, shape (m, 3), at given path lengths from the first corner.
 
     A length below 0 gives the start of the path. A length beyond the path gives the end.
     """
@@ -50,9 +50,10 @@ def points_along(corners: ArrayLike, lengths: ArrayLike) -> Array:
 
 
 def path_distance(points: Array, corners: Array) -> Array:
-    """Return the distance of points from a path with straight legs between corners, shape (n,).
+    """Return the distance, shape (n,), of each point from a path of straight legs.
 
-    Points and corners have the shapes (n, 3) and (m, 3), and the same unit as the distances.
+    The legs connect consecutive corners. `points` has the shape (n, 3) and `corners` the shape (m,
+    3). Points, corners and distances have the same unit.
     """
     nearest = np.full(len(points), np.inf)
     for start, end in pairwise(corners):
@@ -64,10 +65,10 @@ def path_distance(points: Array, corners: Array) -> Array:
 
 
 def kept_corners(corners: ArrayLike, within: float) -> Ints:
-    """Return the ascending indices of the corners to keep (Douglas and Peucker 1973).
+    """Simplify a polyline: return the ascending indices of the corners to keep.
 
     The distance of each removed corner from the polyline through the kept corners is at most
-    `within`.
+    `within` (Douglas and Peucker 1973).
 
     Parameters
     ----------
@@ -98,26 +99,32 @@ def kept_corners(corners: ArrayLike, within: float) -> Ints:
 
 GCODE = (".gcode", ".nc", ".ngc", ".tap", ".cnc", ".gc", ".mpf")
 _PROGRAM = re.compile(r"^\s*(N\d+\s*)?G0?\d\b", re.IGNORECASE | re.MULTILINE)
-"""Regular expression for a G-code line, for files whose suffix is also used for tables."""
+"""Regular expression for a G-code line.
+
+It identifies G-code in files whose suffix is also used for tables.
+"""
 TABLES = (".csv", ".txt", ".tsv")
 _PLACE = ("x_mm", "y_mm", "z_mm")
 _FEED = "feed_mm_s"
 _AXIS = ("axis_x", "axis_y", "axis_z")
 _COLUMNS = {**dict.fromkeys(_PLACE, "length"), _FEED: "speed", **dict.fromkeys(_AXIS, "number")}
-"""Dictionary from each column of a table to its quantity in `UNITS`."""
+"""Dictionary from each column of a table to the physical quantity of the column."""
 
 _STEP_MM = 0.5
-"""Distance between points at which the depth is evaluated [mm].
+"""Distance [mm] between the path points at which the depth below the surface is evaluated.
 
-Between two points, the depth exceeds the larger depth of the two points by at most 0.25 mm.
+Between two points, the depth is therefore at most 0.25 mm larger than at the deeper point.
 """
 _MOST_POINTS = 20_000
-"""Largest number of points at which the depth is evaluated. Longer paths have larger steps."""
+"""Largest number of points at which the depth is evaluated.
+
+On longer paths, the distance between points is increased.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Toolpath:
-    """Points that a tool's tip visits along straight lines.
+    """Tool path: points that a tool's tip visits along straight lines.
 
     Attributes
     ----------
@@ -146,9 +153,10 @@ class PathDepth:
     Attributes
     ----------
     points_mm
-        Points of the path, and points between them, at most 0.5 mm apart [mm, LPS], shape (n, 3).
+        Points [mm, LPS], shape (n, 3), along the path: the points of the path, and intermediate
+        points. They are at most 0.5 mm apart.
     depth_mm
-        Distance of each point from the bone's surface [mm], shape (n,), positive inside the bone
+        Distance [mm], shape (n,), of each point from the bone's surface, positive inside the bone
         and negative outside.
     """
 
@@ -190,8 +198,8 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
         .tsv) has the columns x_mm, y_mm, z_mm and, optionally, feed_mm_s and axis_x, axis_y,
         axis_z. Its header may state other units, such as "X [m]".
     coordinates
-        ``LPS`` or ``RAS``: frame of the numbers in CSV and G-code. Markups files contain their own
-        frame.
+        ``LPS`` or ``RAS``: frame of the coordinates in tables and G-code. Markups files contain
+        their own frame.
 
     Raises
     ------
@@ -235,7 +243,7 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
 
 
 def _read_table(file: Path) -> Toolpath:
-    """Read a text table, in its frame."""
+    """Read a text table, without conversion to LPS."""
     table = read_table(file, "path")
     require_distinct_columns(table.names, "path", file)
     notes = [*table.notes]
@@ -317,7 +325,7 @@ POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "to
 _RAPID_MM_S = 20.0
 """Speed of rapid moves and of the approach to the first point [mm/s].
 
-Cutting is clearly slower, at about 2 mm/s.
+For comparison, cutting moves have about 2 mm/s.
 """
 _TURN_RAD_S = 0.5 * np.pi
 """Largest angular velocity of the tool [rad/s].
@@ -326,9 +334,9 @@ A person turns a drill by a right angle in about a second.
 """
 _SAME_MM = 1e-6
 _SAME_RAD = 1e-6
-"""Smallest motion [mm] and smallest rotation [rad] that get a separate pose in a replay table.
+"""Smallest motion [mm] and smallest rotation [rad] for which a replay table has a new pose.
 
-Without motion, two poses would have the same time.
+The times of a replay table must increase, and a motion of zero length takes no time.
 """
 
 
@@ -375,7 +383,7 @@ def to_replay(
     feed_mm_s: float,
     clearance_mm: float = 0.0,
 ) -> ReplayTable:
-    """Convert a path to a site's frame, and compute times.
+    """Convert a path to a replay table: timed poses in a site's frame.
 
     Parameters
     ----------
@@ -386,7 +394,7 @@ def to_replay(
     feed_mm_s
         Speed [mm/s] in the parts of the path for which the file states no speed.
     clearance_mm
-        Distance from the start of the motion to the first point, along the tool's axis [mm].
+        Distance [mm] along the tool's axis at which the motion starts before the first point.
 
     Raises
     ------

@@ -1,1 +1,1 @@
-"""Signed distances, and anatomies defined by signed distances."""
+"""Basic shapes as signed distance functions, and anatomies that are built from such functions."""

@@ -1,4 +1,4 @@
-"""Anatomical sites as shapes with layers, and a block of cortical bone as the simplest example.
+"""Class for anatomies, which are shapes with layers, and a block of cortical bone.
 
 In the site frame of every anatomy, the origin is the centre of the working face on the bone
 surface, and +z is the outward normal at this point. The tool therefore moves along -z.
@@ -19,19 +19,19 @@ from meshes.shapes.sdf import Shape, box
 
 CORTICAL_KG_M3 = 1800.0
 TRABECULAR_KG_M3 = 350.0
-"""Apparent densities [kg/m3] that are assumed for a bone that is given only by surfaces.
+"""Apparent densities [kg/m3] of bones for which only surfaces are given.
 
 The cortical density is the same as in `meshes.surfaces.glenoid.GlenoidSizes`. The trabecular
-density is between the two trabecular densities of `GlenoidSizes`, which apply deep in the vault and
-directly below the subchondral plate.
+density lies between the two trabecular densities of `GlenoidSizes`. These apply deep in the vault
+and directly below the subchondral plate.
 """
 
 Classify = Callable[[Floats, Floats], tuple[Bytes, Floats]]
 """Function from positions and depths of points to layer indices and apparent densities.
 
-Input: points [m], shape (n, 3), and the depth of each point below the outer surface [m], shape
-(n,). Output: layer index, uint8, shape (n,), and apparent density [kg/m3], shape (n,). Within a
-layer the density must vary smoothly over a millimetre.
+Input: points [m], shape (n, 3), and depth [m], shape (n,), of each point below the outer surface.
+Output: layer index, uint8, shape (n,), and apparent density [kg/m3], shape (n,). Within a layer the
+density must vary smoothly over a millimetre.
 """
 
 GridSampler = Callable[[Grid], tuple[Singles, Singles]]
@@ -56,20 +56,22 @@ class Anatomy:
     classify
         Function that returns layer and density at points, see `Classify`.
     notes
-        Names and values of assumptions and results, for reports.
+        Assumptions and results for reports, as a dictionary from name to value.
     sample
-        Function that returns bone fraction and depth of a whole grid. Such a function is needed for
-        shapes whose signed distance is too expensive to evaluate at each voxel, such as a triangle
-        mesh. If None, `shape` is evaluated.
+        Function that returns bone fraction and depth of a whole grid. It is given for shapes whose
+        signed distance is too expensive to evaluate at each voxel, such as triangle meshes. If
+        None, `shape` is evaluated.
     placement
         Placement of the site frame in the frame of the anatomy's file; None without a file.
     caps_m
-        Points [m], shape (k, 3), for each face at which the edge of the scan cuts off the bone.
+        Points [m] where the edge of the scan cuts off the bone: one array, shape (k, 3), for each
+        cut.
     thin_layers
-        Whether thin layers, such as a root canal, may lie between the corners of a block of voxels.
-        If true, every voxel is classified.
+        Whether the anatomy has thin layers, such as a root canal, that may lie between the corners
+        of a block of voxels. If true, `classify` is called for every voxel.
     structures
-        Signed distance [m] of each structure that a tool may have to keep clear of, by name.
+        Signed distance [m] from each structure that a tool may have to avoid, by name of the
+        structure.
     """
 
     name: str

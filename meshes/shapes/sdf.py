@@ -3,9 +3,10 @@
 A `Shape` maps points [m] to signed distances [m], negative inside. Every shape of this module is
 1-Lipschitz, so the magnitude of its value never exceeds the true distance to the surface. If the
 magnitude at the centre of a cell is larger than half the diagonal of the cell, the surface does not
-cross the cell. Primitives are exact unless their docstring states otherwise. A union of exact
-shapes is exact outside the solid. An intersection or difference of exact shapes is exact inside the
-solid. Elsewhere, the values are bounds of the distance. The result has the dtype of the points.
+cross the cell. A shape is called exact where its value is the true distance. Primitives are exact
+everywhere unless their docstring states otherwise. A union of exact shapes is exact outside the
+solid. An intersection or difference of exact shapes is exact inside the solid. At other points, the
+magnitude of the value is a lower bound of the distance. The result has the dtype of the points.
 """
 
 from __future__ import annotations
@@ -219,12 +220,12 @@ def half_space(normal: Vector, point_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
 
 
 def _norm(v: Points) -> Distances:
-    """Compute the length of each row, in the dtype of the rows."""
+    """Compute the Euclidean length of each row, in the dtype of the rows."""
     return np.sqrt(v[:, 0] ** 2 + v[:, 1] ** 2 + v[:, 2] ** 2)
 
 
 def _cylindrical(p: Points, start: Array, axis: Array) -> tuple[Distances, Distances]:
-    """Compute heights [m] of points above `start` along `axis`, and distances from the axis."""
+    """Compute heights [m] of points above `start` along `axis`, and distances [m] from the axis."""
     q = p - start.astype(p.dtype)
     along = q @ axis.astype(p.dtype)
     return along, _norm(q - along[:, None] * axis.astype(p.dtype))
@@ -262,36 +263,36 @@ WANTED_M = 4e-6
 """Accepted distance of the triangles from the exact surface [m]."""
 FIRST_POINTS = 1e5
 MOST_POINTS = 1e6
-"""Numbers of points of the first and of the finest lattice on which the distance is evaluated."""
+"""Numbers of points of the coarsest and of the finest lattice for the distance."""
 ROUNDS = 3
-"""Largest number of lattices.
+"""Largest number of lattices on which the distance is evaluated, each finer than the one before.
 
-The error of the triangles is measured on the first lattice. From this error, the spacing of the
-second lattice is computed such that the error should be small enough.
+The error of the triangles is measured on the first lattice. The spacing of the second lattice is
+computed from this error, such that the error should be small enough.
 """
 DOUBLINGS = 12
-"""Largest number of doublings of the search distance. Twelve doublings give a factor of 4000."""
+"""Largest number of times that the search region is enlarged, by at most a factor of two each."""
 STEP_M = 1e-6
-"""Step of the finite differences for the gradient of a distance [m]."""
+"""Step [m] of the finite differences for the gradient of a signed distance."""
 
 
 def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, Ints, float]:
-    """Mesh the part of a shape's surface that can contain the nearest points to points in a box.
+    """Mesh the part of a shape's surface that may be nearest to a point in a box.
 
-    The lattice is refined until the distance of the triangles from the surface is at most 0.004 mm,
-    or the lattice has a million points.
+    The triangles are computed on a lattice. The lattice is refined until the triangles are within
+    0.004 mm of the surface, or the lattice has a million points.
 
     Parameters
     ----------
     low_m, high_m
-        Corners of the box [m], shape (3,).
+        Corners [m], shape (3,), of the box.
 
     Returns
     -------
     vertices_m, faces, slack_m
         Vertices [m], shape (n, 3), triangles with outward normals, shape (m, 3), and the largest
-        depth of the triangles below the surface [m]. If the shape has sharp convex edges, this
-        depth occurs at these edges.
+        depth of the triangles below the surface [m]. For a shape with sharp convex edges, this
+        depth is reached at the edges.
 
     Raises
     ------
@@ -354,9 +355,9 @@ def _around_surface(shape: Shape, low: Array, high: Array) -> tuple[Array, Array
 
 
 def _nearest(shape: Shape, low: Array, high: Array, middle: Array) -> float:
-    """Compute the distance [m] of a point from the nearest vertex of a coarse surface in a box.
+    """Compute the distance [m] of a point from a coarse mesh of the surface in a box.
 
-    The distance is infinite if there is no vertex.
+    The distance is measured to the nearest vertex, and is infinite if the mesh is empty.
     """
     if not (low < high).all():
         return np.inf
@@ -365,9 +366,9 @@ def _nearest(shape: Shape, low: Array, high: Array, middle: Array) -> float:
 
 
 def _contour(shape: Shape, low: Array, high: Array, spacing: float) -> tuple[Array, Ints, Flags]:
-    """Extract closed triangles at distance 0, and flags of the vertices that lie on the surface.
+    """Extract a closed mesh at distance 0, and flags of the vertices on the shape's surface.
 
-    The other vertices close the surface where the lattice cuts it off.
+    The vertices without a flag close the mesh where the lattice cuts off the shape.
     """
     from skimage.measure import marching_cubes
 
@@ -388,10 +389,10 @@ def _contour(shape: Shape, low: Array, high: Array, spacing: float) -> tuple[Arr
 
 
 def _slack(shape: Shape, vertices: Array, faces: Ints) -> float:
-    """Compute the largest depth of centres and edges of triangles below the surface [m].
+    """Compute the largest depth [m] of triangle centres and edges below the surface.
 
-    At concave edges, triangles lie outside the surface. The distance of an outside point from the
-    triangles is then too small, which is on the safe side.
+    At concave edges, triangles lie outside the surface. At an outside point, the distance from the
+    triangles is then too small, which is the safe side.
     """
     corners = vertices[faces]
     points = np.concatenate(
@@ -401,9 +402,10 @@ def _slack(shape: Shape, vertices: Array, faces: Ints) -> float:
 
 
 def _to_surface(shape: Shape, points: Array) -> tuple[Array, Array]:
-    """Compute the signed distance [m] from the surface along the gradient, and the unit gradient.
+    """Compute the signed distance [m] to the surface along the gradient, and the unit gradient.
 
-    The signed distance of the shape itself may be only a bound of the distance.
+    This distance is more accurate than the shape's value, which may be only a bound of the
+    distance.
     """
     value = np.asarray(shape.distance(points), dtype=np.float64)
     slope = np.empty_like(points)

@@ -1,1 +1,1 @@
-"""Triangle surfaces: reading, repair, and sites on surfaces."""
+"""Triangle surfaces: reading, repair, and search for sites where a tool works."""

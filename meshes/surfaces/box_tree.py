@@ -10,18 +10,18 @@ from meshes.base.arrays import Array
 LEAF = 4
 """Number of triangles in a leaf, the same as in `kernels.structure_distance`."""
 LONGEST_M = 0.5e-3
-"""Edge length [m] above which a triangle near the box with the query points is bisected."""
+"""Edge length [m] above which a triangle near the query points is bisected."""
 BY_DISTANCE = 0.25
-"""Increase of this length, relative to the distance of the triangle from the query box."""
+"""Increase of the length limit `LONGEST_M` per distance of a triangle from the query points."""
 BISECTIONS = 2
 """Largest number of bisections of a triangle.
 
-The search of the distance between a 3.2 mm drill and a coaxial tube of 48 sides evaluates 1,100
-bounds with this value. If all longer edges were bisected, it would evaluate more than 20,000
-bounds, because all parts of the facets are equally near.
+The value limits the cost of a search for the smallest distance. For a 3.2 mm drill in a coaxial
+tube of 48 sides, the search evaluates 1,100 distance bounds. If all longer edges were bisected, the
+search would evaluate more than 20,000 bounds, because all parts of the facets are equally near.
 """
 _GRID = 1024
-"""Number of cells of the Morton curve along each axis.
+"""Number of cells along each axis in the grid of the Morton curve.
 
 With 10 bits per axis, the indices along the three axes fit in one integer.
 """
@@ -34,11 +34,11 @@ class BoxTree:
     Attributes
     ----------
     centres_m, halves_m
-        Centre and half sides [m] of the box around all triangles below each node, shape (nodes, 3).
-        The half sides are -1 for a node without triangles.
+        Centre and half sides [m], shape (nodes, 3), of the box around all triangles in the subtree
+        of each node. The half sides are -1 for a node without triangles.
     corners_m
-        Corners [m] of the triangles in the order of the leaves, `LEAF` triangles per leaf, shape
-        (triangles, 3, 3).
+        Corners [m], shape (triangles, 3, 3), of the triangles in the order of the leaves. Each leaf
+        has `LEAF` triangles.
     first_leaf
         Index of the first leaf node.
     """
@@ -74,7 +74,7 @@ def box_tree(corners_m: Array) -> BoxTree:
 def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
     """Bisect triangles with long edges, at most `BISECTIONS` times.
 
-    The boxes around the triangles are then smaller.
+    Bisected triangles have smaller boxes in the tree, which makes searches faster.
 
     Parameters
     ----------
@@ -82,8 +82,8 @@ def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
         Corners of the triangles [m], shape (n, 3, 3).
     box_m
         Corners with the smallest and the largest coordinates of a box around the query points [m],
-        shape (2, 3). Triangles far from this box may be longer. If None, query points may be
-        anywhere.
+        shape (2, 3). Triangles far from this box may keep longer edges. If None, all triangles have
+        the same limit.
     """
     done: list[Array] = []
     rest = corners_m
@@ -96,7 +96,7 @@ def cut_long(corners_m: Array, box_m: Array | None = None) -> Array:
 
 
 def _halves(corners: Array, longest: NDArray[np.intp]) -> Array:
-    """Bisect each triangle at the edge that starts at the triangle's corner `longest`."""
+    """Bisect each triangle at the edge that starts at its corner with the index `longest`."""
     turned = np.take_along_axis(
         corners, ((longest[:, None] + np.arange(3)) % 3)[:, :, None], axis=1
     )
@@ -108,7 +108,7 @@ def _halves(corners: Array, longest: NDArray[np.intp]) -> Array:
 
 
 def _away(points: Array, box: Array | None) -> Array:
-    """Compute the distance [m] of points from a box. It is 0 inside the box."""
+    """Compute the distance [m] of points from a box, which is 0 inside the box."""
     if box is None:
         return np.zeros(len(points))
     outside = np.maximum(np.maximum(box[0] - points, points - box[1]), 0.0)

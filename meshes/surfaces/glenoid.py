@@ -2,9 +2,10 @@
 
 The glenoid has a subchondral plate, a cortical wall and a graded trabecular vault.
 
-In the table, R means a source that was read, and M means from memory of the literature. Confidence
-is high (H), medium (M) or low (L). Cartilage is not modelled. The face is the bony face that a
-reamer cuts after the cartilage has been removed.
+In the table, the first letter states the source: R was read, and M is from memory of the
+literature. The second letter is the confidence: high (H), medium (M) or low (L). A single L is an
+assumption with low confidence. Cartilage is not modelled. The face is the bony face that a reamer
+cuts after the cartilage has been removed.
 
 ========================  ==================  =====================================================================
 width x height            27.8 x 37.5 mm      M, M: Churchill 2001 (men; women 23.6 x 32.6)
@@ -41,12 +42,15 @@ GLENOID_LAYERS = ("subchondral", "cortical", "trabecular")
 _PLATE_RANGE_M = (1.2e-3, 2.9e-3)
 """Smallest and largest thickness [m] of the subchondral plate in six glenoids (Frich)."""
 _VAULT_BASE_BLEND_M = 4e-3
-"""Width [m] over which walls and base of the vault are blended. Tools do not reach this region."""
+"""Width [m] over which the walls and the base of the vault are blended into each other.
+
+Tools do not reach this region.
+"""
 
 
 @dataclass(frozen=True)
 class _Pear:
-    """Outline in the x-y plane [m] that consists of two circles and their common tangents.
+    """Pear-shaped outline in the x-y plane [m]: two circles and the common tangents of the circles.
 
     The origin is the centre of the bounding box of the outline.
     """
@@ -94,7 +98,8 @@ def _pear(width: float, height: float, upper_width_ratio: float) -> _Pear:
 
     At the middle of the upper half, the width is `upper_width_ratio` times the full width.
 
-    This width increases with the radius of the upper circle, so the radius is found by bisection.
+    The width at the middle of the upper half increases with the radius of the upper circle. The
+    radius is therefore found by bisection.
     """
     lower = 0.5 * width
 
@@ -133,9 +138,9 @@ class GlenoidSizes(Ranged):
     Attributes
     ----------
     width_mm, height_mm
-        Antero-posterior and supero-inferior size of the face, rim to rim [mm].
+        Antero-posterior and supero-inferior size [mm] of the articular face, from rim to rim.
     upper_width_ratio
-        Width at the middle of the upper half, relative to the full width.
+        Width at the middle of the face's upper half, relative to the full width.
     curvature_radius_mm
         Radius of the spherical concavity [mm], larger than half the height.
     subchondral_thickness_mm, subchondral_variation
@@ -151,8 +156,8 @@ class GlenoidSizes(Ranged):
     cortical_density_kg_m3, subchondral_density_kg_m3
         Apparent densities [kg/m3].
     trabecular_density_kg_m3, trabecular_density_below_plate_kg_m3
-        Apparent densities deep in the vault and directly below the plate [kg/m3]. With depth, the
-        density decreases exponentially, with a decay length of 5 mm.
+        Apparent densities deep in the vault and directly below the plate [kg/m3]. The density
+        decreases exponentially with depth below the plate. The decay length is 5 mm.
     """
 
     width_mm: float = ranged(27.8, 20.0, 34.0, "use 27.8 (men) or 23.6 (women)")
@@ -185,7 +190,8 @@ def glenoid(**sizes: float) -> Anatomy:
     Raises
     ------
     InputError
-        If a size is not finite or out of range, or the sizes do not fit together.
+        If a size is not finite or out of range, or if the vault or the face is impossible with
+        these sizes.
     """
     given = GlenoidSizes(**sizes)
     width = 1e-3 * given.width_mm
@@ -220,7 +226,7 @@ def glenoid(**sizes: float) -> Anatomy:
 
 
 def _require_fit(width: float, height: float, depth: float, taper: float, radius: float) -> None:
-    """Raise an error for combinations of sizes that close the vault or cut off the face."""
+    """Raise an error if a combination of sizes would close the vault or cut off the face."""
     if radius <= 0.5 * height:
         raise InputError(
             "curvature_radius_mm",
@@ -251,7 +257,7 @@ def _require_fit(width: float, height: float, depth: float, taper: float, radius
 def _bone(pear: _Pear, radius: float, depth: float, taper: float, blend: float) -> Shape:
     """Build the outer surface of a glenoid.
 
-    The outline is extruded along z. Below z = 0, the wall is inclined inward. A sphere is
+    The pear-shaped outline is extruded along z. Below z = 0, the wall is inclined inward. A ball is
     subtracted to make the top concave, and a plane cuts off the base.
     """
     sine = math.sin(taper)
@@ -323,9 +329,9 @@ def surface_anatomy(
 
     The bone consists of a cortical shell with constant thickness, and trabecular bone inside. A
     surface contains no information about the interior, so thickness and densities are assumptions.
-    The assumptions are recorded in the notes. The default thickness is the mean of the subchondral
-    plate (1.2-2.9 mm, six glenoids, Frich). For the default densities, see `CORTICAL_KG_M3` and
-    `TRABECULAR_KG_M3`.
+    The assumptions are recorded in the notes. The default thickness is the mean thickness of the
+    subchondral plate in six glenoids (1.2-2.9 mm, Frich). For the default densities, see
+    `CORTICAL_KG_M3` and `TRABECULAR_KG_M3`.
 
     Parameters
     ----------
@@ -367,9 +373,10 @@ def sampled_anatomy(
     classify: Classify,
     notes: Mapping[str, str],
 ) -> Anatomy:
-    """Build the anatomy of a surface in a site frame from a sampler of the surface's triangles.
+    """Build the anatomy of a surface from a function that samples the surface's triangles.
 
-    The notes replace or extend the notes on the surface, its unit, its repairs and its site.
+    The anatomy is in the frame of `site`. The notes of the anatomy describe the surface, its unit,
+    its repairs and the site. The argument `notes` replaces or extends these notes.
     """
     vertices = sampler.vertices_m
     report = surface.report

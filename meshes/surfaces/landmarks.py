@@ -60,10 +60,10 @@ _ALIKE = 0.85  # ratio of second to best score above which the result is ambiguo
 
 @dataclass(frozen=True)
 class _Head:
-    """Kind of joint head: name, limits of the coverage, and whether the head has a neck.
+    """Kind of joint head: name, limits of its coverage, and whether the head has a neck.
 
-    Coverage is the share of the fitted sphere that bone surface covers. The limits are the coverage
-    with score 0, the coverage with score 1, and the largest valid coverage.
+    Coverage is the share of a fitted sphere that lies on the bone surface. The limits are the
+    coverage with the score 0, the coverage with the score 1, and the largest valid coverage.
     """
 
     name: str
@@ -93,7 +93,7 @@ def find_site(kind: str, surface: Surface) -> FoundSite:
         ``femoral-head``, ``humeral-head``: point at which the axis of the neck or of the articular
         cap leaves the bone. ``vertebra:left``, ``vertebra:right``: posterior point at which the
         axis of the left or right pedicle leaves the bone, z outward along the axis, y up.
-        ``vertebra``: this point for the wider of the two pedicles.
+        ``vertebra``: the same point of the wider pedicle.
     surface
         Surface of a single bone.
 
@@ -119,7 +119,7 @@ def find_glenoid(
     centre_mm: Sequence[float] | None = None,
     along: Sequence[float] | None = None,
 ) -> Site:
-    """Find the glenoid of a scapula, or only its articular plane if the centre is given.
+    """Find the glenoid of a scapula. If the centre is given, find only the articular plane.
 
     Parameters
     ----------
@@ -129,8 +129,8 @@ def find_glenoid(
         Centre [mm] in the frame of the file, after scaling to mm. The centre is moved along the
         normal onto the surface. If None, the glenoid is searched.
     along
-        Vector of any length in the direction of the site's x axis. The vector is projected onto the
-        articular face. If None, the axes are chosen such that the site's y axis points in the
+        Vector in the direction of the site's x axis, with any length. The vector is projected onto
+        the articular face. If None, the axes are chosen such that the site's y axis points in the
         superior direction.
 
     Raises
@@ -151,7 +151,7 @@ def find_glenoid(
 
 
 def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSite:
-    """Score the surface around each sample, and find the face around the best sample."""
+    """Score the surface around each sample point, and find the articular face at the best point."""
     from scipy.spatial import cKDTree
 
     # With 4000 samples, a real scapula is not accepted. With 16,000 samples, the results do not
@@ -195,13 +195,13 @@ def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSit
 
 
 def _glenoid_score(samples: SurfaceSamples, number: int, tree: "cKDTree") -> tuple[Array, float]:
-    """Compute the smoothed normal at a sample, and the similarity to a glenoid, 0 to 1.
+    """Compute the smoothed normal at a sample point, and the similarity to a glenoid, 0 to 1.
 
-    The similarity describes the surface around the sample.
+    The similarity is computed from the surface around the sample point.
 
     The similarity is high if four conditions hold. The surface covers a disc with a radius of 10 mm
-    and has similar normals there. Beyond a radius of 20 mm, the surface lies more than 4 mm lower
-    in most directions. The bone behind the disc is thick. The disc is not convex.
+    and has similar normals there. Beyond a radius of 20 mm, the surface lies more than 4 mm below
+    the disc in most directions. The bone behind the disc is thick. The disc is not convex.
     """
     point = samples.points[number]
     near = tree.query_ball_point(point, _REACH)
@@ -260,12 +260,13 @@ def _face(
 ) -> tuple[Array, Array, Array, float]:
     """Find the articular face around a starting point.
 
-    Return the centre of the face, its axes as rows (long, short, outward), its two side lengths and
-    its curvature.
+    Return the centre of the face, the axes of the face as rows (long, short, outward), two side
+    lengths and the curvature.
 
     The face is the connected region in which all normals are within 32 degrees of the normal of the
-    region's mean plane. On two real scapulae and a synthetic scapula, limits of 25 to 37 degrees
-    change the centre by at most 2 mm. With larger limits, the region extends into the coracoid.
+    region's mean plane. With limits from 25 to 37 degrees, the centre changes by at most 2 mm on
+    two real scapulae and a synthetic scapula. With larger limits, the region extends into the
+    coracoid.
     """
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -303,10 +304,10 @@ def _face(
 
 @dataclass(frozen=True, eq=False)
 class _Cap:
-    """Spherical cap: sphere, direction from its centre to the cap, coverage, RMS misfit, roundness.
+    """Spherical cap: sphere, direction from centre to cap, coverage, RMS misfit and roundness.
 
-    The coverage is the share of the sphere that the cap covers. The roundness describes the outline
-    of the cap.
+    The coverage is the share of the sphere that the cap covers. The roundness states how circular
+    the outline of the cap is.
     """
 
     centre: Array
@@ -322,7 +323,7 @@ class _Cap:
 
 
 def _search_head(surface: Surface, kind: _Head) -> FoundSite:
-    """Find the spherical cap with a radius of 18 to 32 mm and the best score, and a site on it."""
+    """Find the best spherical cap with a radius of 18 to 32 mm, and the site on this cap."""
     # With 6000 and 24,000 samples, the site changes by at most 0.4 mm.
     samples = sample_surface(*surface.scanned, 12000)
     caps = sorted(_caps(samples), key=lambda cap: -cap.score(kind))
@@ -362,10 +363,10 @@ def _search_head(surface: Surface, kind: _Head) -> FoundSite:
 
 
 def _caps(samples: SurfaceSamples) -> list[_Cap]:
-    """Fit spherical caps with a Hough transform for the starting values.
+    """Fit spherical caps to a surface. A Hough transform gives the starting values.
 
-    Each sample votes for centres of spheres along its normal, one for each radius. Fits start from
-    the centres and radii with the most votes.
+    Each sample point votes for possible sphere centres along the normal at the point, one centre
+    for each radius. Fits start from the centres and radii with the most votes.
     """
     from scipy.sparse import coo_array
     from scipy.spatial import cKDTree
@@ -402,7 +403,8 @@ def _caps(samples: SurfaceSamples) -> list[_Cap]:
 def _fitted(points: Array, normals: Array, centre: Array, radius: float) -> _Cap | None:
     """Fit a sphere to samples of a surface whose normals point outward.
 
-    Return None if too few samples lie on the sphere, or the radius is outside the range of heads.
+    Return None if too few points lie on the sphere, or if the radius is outside the range of joint
+    heads.
     """
     from scipy.spatial import cKDTree
 

@@ -23,9 +23,9 @@ from meshes.base.text_tables import (
 )
 
 TO_LPS = {"LPS": np.ones(3), "RAS": np.array([-1.0, -1.0, 1.0])}
-"""Factors of x, y and z that convert each of the two patient frames to LPS."""
+"""Factors of x, y and z that convert coordinates from each of the two patient frames to LPS."""
 _FRAMES = {**TO_LPS, "0": TO_LPS["RAS"], "1": TO_LPS["LPS"]}
-"""`TO_LPS`, extended by the frame numbers in files of 3D Slicer before version 4.11."""
+"""Factors of `TO_LPS` by frame name, and by frame number as in 3D Slicer before version 4.11."""
 _POINTS = "Fiducial"
 _CURVES = ("Line", "Curve", "ClosedCurve")
 
@@ -59,9 +59,9 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
     Raises
     ------
     InputError
-        If the file is missing or has another format, or states a frame other than LPS and RAS or a
-        unit other than mm. Also raised if a control point is undefined or does not consist of three
-        finite numbers.
+        If the file is missing or has another format. Also raised if the frame is not LPS or RAS, or
+        if the unit is not mm. Also raised if a control point is undefined or does not consist of
+        three finite numbers.
     """
     file = Path(path)
     require_file(file, "markups")
@@ -80,7 +80,7 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
 
 
 def read_site(path: str | Path) -> tuple[Array, Array | None]:
-    """Read the site that a file marks.
+    """Read the site (place where a tool works) that a markups file marks.
 
     A file marks a site by a plane (origin and normal), by a line from the site into the bone, or by
     one point.
@@ -114,11 +114,12 @@ def read_site(path: str | Path) -> tuple[Array, Array | None]:
 def read_curve(path: str | Path) -> Array:
     """Read the control points [mm, LPS], shape (n, 3), of the only curve in a file.
 
-    If the file has no curve, the points of its only point list are returned, in their order.
+    If the file has no curve but one point list, the points of this list are returned in their
+    order.
 
-    3D Slicer draws a smooth curve through the points, but tissue joins them by straight lines. If
-    the points lie far apart, resample the curve in 3D Slicer. A closed curve ends at its first
-    point.
+    3D Slicer draws a smooth curve through the points, but this library joins the points by straight
+    lines. If the points lie far apart, resample the curve in 3D Slicer. For a closed curve, the
+    first point is repeated at the end.
 
     Raises
     ------
@@ -162,7 +163,7 @@ def _markup(record: dict[str, Any], file: Path) -> Markup:
 
 
 def _normal(record: dict[str, Any], points: list[Array], frame: Array, file: Path) -> Array:
-    """Return a normal vector of a plane. Its length is arbitrary.
+    """Return a normal vector of a plane, with arbitrary length.
 
     If the record states a normal, this normal is used. Otherwise, the third axis of the plane's
     orientation is used. Without an orientation, the normal of three points is used.
@@ -181,7 +182,7 @@ def _normal(record: dict[str, Any], points: list[Array], frame: Array, file: Pat
 def _point_list(text: str, file: Path) -> Markup:
     """Read the points of a .fcsv file.
 
-    The header may occur several times, because several files may have been joined.
+    The header may occur several times, because a file may have been joined from several files.
     """
     frame: Array | None = None
     columns: tuple[str, ...] = ("id", "x", "y", "z")

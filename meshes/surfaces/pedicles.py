@@ -46,9 +46,9 @@ class _Hole:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """Directions of a vertebra as columns (left, forward, up), and a point in the spinal canal.
+    """Anatomical directions of a vertebra (left, forward, up), and a point in the spinal canal.
 
-    The point lies at the height of the vertebral body.
+    The directions are columns of a matrix. The point lies at the height of the vertebral body.
     """
 
     axes: Array
@@ -108,10 +108,10 @@ def _inner_points(surface: Surface) -> Array:
 
 
 def _canal(points: Array) -> _Hole | None:
-    """Return the largest hole of plausible size in projections of a bone, or None.
+    """Return the largest hole of plausible size in projections of a bone; None without such a hole.
 
-    The direction of the hole is the mean of the directions along which the hole is nearly as large
-    as in the best direction.
+    The returned direction of the hole is the mean of all projection directions in which the hole is
+    nearly as large as in the best direction.
     """
     # 300 directions on a half sphere are 8 degrees apart. A canal is open in a cone of this width.
     views = [_hole(points, axis) for axis in spread((np.arange(300) + 0.5) / 300.0, np.eye(3)[2])]
@@ -159,8 +159,8 @@ def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> _Frame:
 
     If the bone is not a vertebra, raise an error.
 
-    The body lies in front of the canal. The pedicles start at the upper half of the body, and the
-    arch lies lower. This difference determines the direction up.
+    The body lies in front of the canal. The direction up follows from the heights: the pedicles
+    start at the upper half of the body, and the arch lies lower.
     """
     to_middle = inner.mean(axis=0) - canal.point
     forward = to_middle - (to_middle @ canal.axis) * canal.axis
@@ -194,10 +194,10 @@ def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> _Frame:
 
 
 def _sections(surface: Surface, frame: _Frame, sign: float) -> Array:
-    """Compute centroid [m] and area [mm2] of the largest bone piece in sections next to the canal.
+    """Compute centroid [m] and area [mm2] of the bone in sections next to the spinal canal.
 
-    The sections are normal to the forward direction and 1 mm apart. The result has one row per
-    section, shape (n, 4).
+    The sections are normal to the forward direction and 1 mm apart. In each section, the largest
+    piece of bone is used. The result, shape (n, 4), has one row per section.
 
     Sections in which bone closes the canal belong to the body or the arch and are omitted.
     """
@@ -229,7 +229,8 @@ def _pedicle(surface: Surface, frame: _Frame, sign: float) -> tuple[Site, float]
 
     Also return the smallest depth below the bone surface along 18 mm of the axis.
 
-    The axis is the line with the most bone around it. A surgeon drills along this line.
+    The axis is the line with the most bone around it. This is the line along which a surgeon
+    drills.
     """
     from scipy.optimize import minimize
 

@@ -3,9 +3,9 @@
 Vertices are merged, triangles are oriented consistently, and debris (small separate pieces) is
 removed.
 
-A surface is called closed if every directed edge and its reverse occur equally often. This
-condition is weaker than the condition for a manifold, because four triangles may meet at an edge.
-The condition is sufficient for winding numbers to be defined.
+A surface is called closed if every directed edge occurs as often as the reversed edge. This
+condition is weaker than the condition for a manifold, because it allows four triangles at an edge.
+It is sufficient, because winding numbers are then defined.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from meshes.base.arrays import (
 
 
 def merge_vertices(vertices: Array, faces: Ints, tolerance: float) -> Triangles:
-    """Merge vertices that have the same nearest point in a lattice with the spacing `tolerance`.
+    """Merge vertices whose coordinates are equal after rounding to multiples of `tolerance`.
 
     Degenerate triangles, duplicate triangles and pairs of opposite triangles are removed.
     """
@@ -76,11 +76,12 @@ def is_manifold(faces: Ints) -> bool:
 
 
 def drop_debris(vertices: Array, faces: Ints, least_area: float) -> tuple[Triangles, list[float]]:
-    """Remove connected bodies with less than `least_area` times the area of the largest body.
+    """Remove connected bodies whose area is small compared with that of the largest body.
 
     Returns
     -------
-    The remaining surface, and the longest bounding-box side of each removed body.
+    Remaining surface, and the longest bounding-box side of each removed body. A body is removed if
+    its area is less than `least_area` times the largest area.
     """
     body = _bodies(len(vertices), faces)
     areas = np.bincount(body, weights=triangle_areas(vertices, faces))
@@ -93,10 +94,10 @@ def orient(vertices: Array, faces: Ints) -> tuple[Ints, int, int, float]:
     """Orient all triangles of each body outward.
 
     The function uses a graph with two nodes per triangle, one for the given and one for the
-    reversed winding. At an edge with two triangles, two nodes of these triangles are connected if
-    the windings that they represent agree. A component of this graph is a consistent orientation. A
-    body with negative volume is reversed. A body within the bounding box of another body is not
-    reversed, because it is a cavity.
+    reversed winding. If two triangles share an edge, the graph connects those nodes of the two
+    triangles whose windings agree. Each connected component of the graph is a consistent
+    orientation of a set of triangles. A body with negative volume is reversed. A body within the
+    bounding box of another body is not reversed, because it may be a cavity.
 
     Returns
     -------
@@ -141,8 +142,8 @@ def edge_counts(faces: Ints) -> tuple[int, int]:
 def _distinct(faces: Ints) -> Ints:
     """Return the indices of the triangles to keep.
 
-    Of several equal triangles, one is kept. Of two triangles with the same vertices and opposite
-    windings, none is kept.
+    Of several equal triangles, one is kept. Two triangles with the same vertices and opposite
+    windings are both removed.
     """
     _, first, where = np.unique(
         np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True
@@ -156,10 +157,10 @@ def _distinct(faces: Ints) -> Ints:
 
 
 def _disagreeing(faces: Ints) -> Flags:
-    """Return flags of the triangles to reverse so that neighbouring triangles agree.
+    """Return flags of the triangles that must be reversed so that neighbours agree in winding.
 
-    Each connected piece has two solutions, and the solution with fewer reversed triangles is used.
-    In a piece without a solution, no triangle is reversed.
+    For each connected piece, there are two solutions. The solution with fewer reversed triangles is
+    used. In a piece without a solution, no triangle is reversed.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -184,7 +185,7 @@ def _disagreeing(faces: Ints) -> Flags:
 
 
 def _edge_keys(edges: Ints) -> Ints:
-    """Compute a key for each edge that does not depend on its direction, shape (n,).
+    """Compute a key, shape (n,), for each edge. The key does not depend on the edge's direction.
 
     The order of the keys is the lexicographic order of the edges' sorted vertex indices.
     """
@@ -210,8 +211,8 @@ def triangle_areas(vertices: Array, faces: Ints) -> Array:
 class Holes:
     """Result of `fill_holes`.
 
-    The attributes are the number of small holes and the number of large holes that were closed, the
-    points of each cap, and the area of the largest hole.
+    The attributes are the numbers of closed small and large holes, the points of each cap (reported
+    closing face), and the area of the largest hole.
     """
 
     filled: int
@@ -229,9 +230,10 @@ def fill_holes(
 ) -> tuple[Triangles, Holes]:
     """Close each loop of unmatched edges by a fan of triangles around the mean point of the loop.
 
-    A hole is large if its area is more than `largest` times the area of the surface. A cap is a fan
-    whose points are reported. The fan of a large hole is a cap. The fan of a small hole is a cap if
-    its area is more than `least_cap` and more than one triangle is missing.
+    A hole is large if its area is more than `largest` times the area of the surface. The points of
+    some fans, called caps, are returned. The fan of a large hole is a cap. The fan of a small hole
+    is a cap if the fan's area is more than `least_cap` and the hole is larger than one missing
+    triangle.
     """
     if is_manifold(faces):
         return (vertices, faces), Holes(0, 0, (), 0.0)
@@ -263,10 +265,10 @@ def fill_holes(
 
 
 def open_loops(faces: Ints) -> list[Ints]:
-    """Return loops of directed edges whose reverse is missing. A loop has a vertex only once.
+    """Return loops of the directed edges whose reversed edge is missing.
 
-    A loop has the direction of its edges in the adjacent triangles. If the reverse of an edge is
-    missing k times, the edge is used k times.
+    A loop contains each vertex only once. The edges of a loop have their directions in the adjacent
+    triangles. If the reversed edge is missing k times, the edge is used in k loops.
     """
     edges = directed_edges(faces)
     keys, where = np.unique(_edge_keys(edges), return_inverse=True)
@@ -309,7 +311,8 @@ def close_seams(
 
     Returns
     -------
-    Vertices and triangles. Added vertices and triangles come last.
+    Vertices, shape (n, 3), and triangles, shape (m, 3). Added vertices and triangles are at the end
+    of the arrays.
     """
     loops = open_loops(faces)
     theirs = [loop for loop in loops if loop[0] >= first_part]
@@ -337,8 +340,8 @@ def _apart(points: Array, others: Array) -> float:
 def _ribbon(points: Array, loop: Ints, other: Ints) -> Ints:
     """Return triangles between two loops that run in opposite directions.
 
-    In every step, a triangle is added that advances along one of the loops. The loop is chosen that
-    gives the shorter new edge.
+    Each step adds one triangle, which advances along one of the two loops. The step chooses the
+    loop for which the new edge is shorter.
     """
     along = other[::-1]
     nearest = int(np.linalg.norm(points[along] - points[loop[0]], axis=1).argmin())

@@ -1,4 +1,4 @@
-"""Working site on a bone surface: centre and axes, and samples of a surface."""
+"""Site on a bone surface where a tool works, and sample points of a surface."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ FACE_SAMPLES = 40_000
 On a scapula, the samples are 0.5 mm apart.
 """
 _FARTHEST_M = 10e-3
-"""Largest distance of a given site centre from the surface [m].
+"""Largest distance [m] of a given site centre from the surface.
 
 A larger distance indicates that the centre is given in another frame or unit.
 """
 _AROUND_M = 3e-3
-"""Radius [m] over which a normal is averaged, larger than facets and voxel steps."""
+"""Radius [m] within which normals are averaged, larger than facets and voxel steps."""
 _LEAST_ACROSS = 0.02  # sine of the smallest angle between x and the normal, one degree
 
 
@@ -36,13 +36,14 @@ class Site:
     Attributes
     ----------
     centre_m
-        Centre of the working face, a point of the surface [m], in the surface's frame, shape (3,).
+        Point of the surface at the centre of the working face [m], shape (3,), in the surface's
+        frame.
     rotation
-        Site axes as columns in the surface's frame, shape (3, 3), right-handed, z outward. For a
-        glenoid that was found by search, y is superior, and x is anterior on a right scapula and
-        posterior on a left scapula.
+        Axes of the site as columns in the surface's frame, shape (3, 3). The axes are right-handed,
+        and z points outward. For a glenoid that was found by search, y is superior, and x is
+        anterior on a right scapula and posterior on a left scapula.
     confidence
-        Sentence on the method and confidence of the search.
+        Sentence that describes how the site was found and how reliable the result is.
     """
 
     centre_m: Array
@@ -56,7 +57,7 @@ class Site:
     def within(self, outer: Placement) -> Site:
         """Convert this site to the frame of a file.
 
-        `outer` is the placement, in the file, of the frame in which the site is given.
+        The site is given in a frame whose placement in the file is `outer`.
         """
         centre = 1e-3 * outer.origin_mm + outer.rotation @ self.centre_m
         return Site(centre, outer.rotation @ self.rotation, self.confidence)
@@ -68,7 +69,7 @@ class Site:
 
 @dataclass(frozen=True, eq=False)
 class FoundSite:
-    """Result of a search.
+    """Result of a search for a landmark on a bone.
 
     Attributes
     ----------
@@ -77,11 +78,11 @@ class FoundSite:
     score
         Quality of the match, 0 to 1.
     second_score
-        Score of the best place that is not close to the site; 0 if no other place matches the
-        landmark.
+        Score of the second-best place, which is not close to the site; 0 if there is no second
+        place.
     second_centre_mm
-        Centre of the second-best place [mm] in the frame of the surface, shape (3,); None if there
-        is no such place.
+        Centre [mm], shape (3,), of the second-best place in the frame of the surface; None if there
+        is no second place.
     """
 
     site: Site
@@ -110,7 +111,8 @@ class SurfaceSamples:
 def sample_surface(vertices: Array, faces: Ints, count: int) -> SurfaceSamples:
     """Distribute `count` points evenly by area.
 
-    The points are the same in every call (Kronecker sequence within the triangles).
+    The points do not change between calls, because they follow a Kronecker sequence within the
+    triangles.
     """
     total = np.cumsum(triangle_areas(vertices, faces))
     chosen = np.searchsorted(total, (np.arange(count) + 0.5) / count * total[-1])
@@ -132,7 +134,7 @@ def sample_surface(vertices: Array, faces: Ints, count: int) -> SurfaceSamples:
 
 
 def refusal(surface: Surface, what: str, got: str) -> InputError:
-    """Return the error for a search that did not find its landmark."""
+    """Return the error for a search that did not find the landmark `what`."""
     return InputError(
         "file",
         f"show a {what}",
@@ -150,7 +152,7 @@ def across(axis: Array) -> tuple[Array, Array]:
 
 
 def spread(heights: Floats, axis: Array) -> Array:
-    """Return unit vectors on a golden-angle spiral, shape (n, 3).
+    """Return unit vectors, shape (n, 3), on a golden-angle spiral around an axis.
 
     `heights` are the cosines of the angles between the vectors and the axis.
     """
@@ -177,11 +179,11 @@ def place_site(
         Point [mm] in the frame of the file, after scaling to mm. The point is moved along the
         normal onto the surface.
     normal
-        Outward vector of any length at this point. If None, the mean normal of the surface within 3
-        mm of the nearest surface point is used.
+        Outward vector at this point, with any length. If None, the mean normal of the surface is
+        used, within 3 mm of the nearest surface point.
     along
-        Vector of any length in the direction of x. The vector is projected onto the plane
-        perpendicular to the normal. If None, y points away from the middle of the bone.
+        Vector in the direction of the site's x axis, with any length. The vector is projected onto
+        the plane perpendicular to the normal. If None, y points away from the middle of the bone.
 
     Raises
     ------
@@ -221,10 +223,10 @@ def site_along(
     note
         Description of the method that found the site.
     along
-        Direction of x. If None, y points away from the middle of the bone. If `long_axis` is given,
-        y has its direction or the opposite direction.
+        Direction of the site's x axis. If None, y points away from the middle of the bone, and is
+        parallel to `long_axis` if that is given.
     long_axis
-        Direction of y. The sign is arbitrary.
+        Direction of the site's y axis, with arbitrary sign.
 
     Raises
     ------
@@ -241,7 +243,7 @@ def site_along(
 
 
 def axes_along(normal: Array, along: Sequence[float]) -> Array:
-    """Return axes as columns, shape (3, 3), with z along a normal.
+    """Return three orthogonal axes as columns, shape (3, 3), with z along a normal.
 
     z is the unit vector `normal`, and x is as close to the direction `along` as possible.
 
@@ -266,7 +268,8 @@ def axes_along(normal: Array, along: Sequence[float]) -> Array:
 def normal_near(samples: SurfaceSamples, centre: Array) -> Array:
     """Compute the mean unit normal of the surface near a point, shape (3,).
 
-    The mean is over samples within 3 mm of the surface point that is nearest to `centre` [m].
+    The mean is taken over the sample points within 3 mm of the surface point nearest to `centre`
+    [m].
     """
     distance = np.linalg.norm(samples.points - centre, axis=1)
     nearest = int(np.argmin(distance))
@@ -287,7 +290,7 @@ def _axes(
 
     y points away from the middle of the bone.
 
-    On a scapula, this is the superior direction, because the body of the scapula lies below the
+    On a scapula, y is then the superior direction, because the body of the scapula lies below the
     glenoid.
     """
     away = -(to_middle - (to_middle @ normal) * normal)
@@ -305,7 +308,7 @@ def _axes(
 
 
 def exits(surface: Surface, point: Array, rotation: Array) -> Array:
-    """Return the heights [m] at which a line through a point leaves the bone, shape (k,).
+    """Return the heights [m], shape (k,), at which a line through a point leaves the bone.
 
     The direction of the line is the z axis of `rotation`. Heights are measured from the point.
     """

@@ -1,4 +1,4 @@
-"""Bone surface from a file, with its unit determined and its triangles repaired.
+"""Bone surfaces from files: determination of the unit, and repair of the triangles.
 
 A surface that does not enclose a solid raises an error.
 """
@@ -21,7 +21,7 @@ from meshes.surfaces.repair import (
 from meshes.surfaces.triangle_files import read_triangles, require_triangles
 
 _MERGE_TOLERANCE = 1e-6
-"""Distance at which vertices are merged, relative to the longest side of the bounding box.
+"""Largest distance of merged vertices, relative to the longest side of the bounding box.
 
 STL files round coordinates to 6e-8 of the longest side.
 """
@@ -30,7 +30,7 @@ _DEBRIS_AREA = 0.01
 _HOLE_AREA = 0.03
 """Ratio of hole area to surface area above which a hole is a missing part, not a defect."""
 _CAP_M2 = 1e-5
-"""Area above which a hole is listed as a cap [m2].
+"""Area [m2] above which a closed hole is reported as a cap.
 
 A cap is a face that closes a hole. The true shape of the bone at a cap is unknown, which matters if
 the tool is near the cap.
@@ -38,26 +38,26 @@ the tool is near the cap.
 _FLATTEST = 1e-3
 """Ratio of the smallest to the largest spread of points below which the points lie in a plane."""
 _FARTHEST = 1e100
-"""Limit above which coordinates count as infinite, because their squares would overflow."""
+"""Limit above which coordinates count as infinite. Squares of larger values may overflow."""
 _SMALLEST_MM = 1.0
 _LARGEST_MM = 1000.0
-"""Limits of the longest side [mm] if the scale is given, from a chip of bone to two femurs."""
+"""Limits of a surface's longest side [mm] if the user gives a scale: bone chip to two femurs."""
 _UNITS = (("millimetres", 1.0, 5.0, 700.0), ("metres", 1000.0, 0.005, 0.7))
-"""Units that can be guessed: name, length [mm], and range of the longest side of a bone.
+"""Units that can be guessed: name, length [mm], and range of a bone's longest side in this unit.
 
-In each of the two units, the range is 5 to 700 mm.
+For both units, the range corresponds to 5 to 700 mm.
 """
 _OTHER_UNITS = (("centimetres", 10.0), ("inches", 25.4))
-"""Name and length [mm] of other units that a surface may have if it is too small in millimetres."""
+"""Name and length [mm] of further units, for surfaces that are too small in millimetres."""
 _USUAL_BONE_MM = (60.0, 600.0)
 """Usual range of the longest side of a scanned bone [mm].
 
-A warning names the units in which the longest side would be in this range.
+If a size is unusual, a warning names the units in which the longest side would be in this range.
 """
 _RESOLVED_MM = 0.01
-"""Largest rounding error of coordinates without a warning [mm], a tenth of the finest voxels."""
+"""Rounding error of coordinates [mm] above which a warning is given: 0.1 of the finest voxels."""
 _TYPICAL_BONE_MM = 140.0
-"""Longest side [mm] that a bone gets by a suggested scale, about the size of a scapula."""
+"""Longest side [mm] of a bone after scaling by a suggested scale: the size of a scapula."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class Surface:
     report
         Properties of the file, and changes to the surface.
     caps_m
-        Points [m], shape (k, 3), of each face that closes a hole with an area of more than 10 mm2.
+        Points [m], one array of shape (k, 3) for each face that closes a hole of more than 10 mm2.
         The scan of the bone may end at such a hole.
     scanned
         Vertices [m] and triangles without the faces that close holes. The axes of a site are
@@ -131,14 +131,14 @@ def read_surface(
         Millimetres per unit of the file. If None, the unit is guessed from the longest side of the
         bounding box (5 to 700: millimetres; 0.005 to 0.7: metres; otherwise an error is raised).
     cut_off
-        Whether the bone may end at the edge of its scan. If true, a large hole is closed by a face.
-        Otherwise, a large hole raises an error.
+        Whether the bone may be cut off by the edge of the scan. If true, a large hole is closed by
+        a face. Otherwise, a large hole raises an error.
 
     Raises
     ------
     InputError
-        If the file is missing, empty, not readable or has an unknown format, or if its surface
-        cannot be repaired to enclose a solid of 1 mm to 1 m.
+        If the file is missing, empty, not readable or has an unknown format. Also raised if the
+        surface cannot be repaired such that it encloses a solid with a size of 1 mm to 1 m.
     """
     file = Path(path)
     notes: list[str] = []
@@ -230,7 +230,7 @@ def _require_finite(vertices: Array, source: str) -> None:
 def _merged(
     vertices: Array, faces: Ints, longest: float, *, every_piece: bool, repairs: list[str]
 ) -> Triangles:
-    """Return triangles with merged vertices. Unless `every_piece` is set, debris is removed.
+    """Merge vertices and, unless `every_piece` is set, remove small separate pieces.
 
     `longest` is the longest side of the bounding box [m]. Sentences on changes are appended to
     `repairs`.
@@ -255,7 +255,7 @@ def _closed(
 ) -> tuple[Triangles, Holes, float]:
     """Close the holes, and return triangles with outward normals, holes and volume [m3].
 
-    A message on each change of the surface is appended to `repairs`.
+    For each change of the surface, a sentence is appended to `repairs`.
 
     Raises
     ------
@@ -304,7 +304,7 @@ def _require_thickness(points: Array, longest: float, source: str) -> None:
 
 
 def _rounding(points: Array, scale_mm: float) -> list[str]:
-    """Return a warning if the points are too far from the origin for single precision."""
+    """Return a list with a warning if points are too far from the origin for single precision."""
     farthest = float(np.abs(points).max())
     rounding_mm = scale_mm * float(np.spacing(np.float32(farthest)))
     is_single = np.array_equal(points.astype(np.float32), points)
@@ -319,7 +319,8 @@ def _rounding(points: Array, scale_mm: float) -> list[str]:
 def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, str]:
     """Determine the millimetres per file unit from the longest side of the bounding box.
 
-    `longest` is this side in file units. Also return a phrase that describes the method.
+    `longest` is the length of this side in file units. Also return a phrase that describes how the
+    unit was determined.
 
     Raises
     ------

@@ -28,14 +28,14 @@ _FURTHER = re.compile(r"/\S*")
 
 
 def read_triangles(file: Path, notes: list[str] | None = None) -> Triangles:
-    """Read vertices, shape (n, 3), in the file's unit, and triangles, shape (m, 3), of a file.
+    """Read vertices [file units], shape (n, 3), and triangles, shape (m, 3), from a file.
 
     Parameters
     ----------
     file
         File. Its suffix determines the format.
     notes
-        List to which a sentence is appended for each possible problem of the file.
+        List to which a sentence is appended for each possible problem in the file.
 
     Raises
     ------
@@ -70,7 +70,7 @@ _SEARCHED = 100_000
 
 
 def _require_decimal_points(file: Path) -> None:
-    """Raise an error if a file has decimal commas."""
+    """Raise an error if a file contains numbers with decimal commas."""
     with file.open("rb") as stored:
         if found := _COMMAS.search(stored.read(_SEARCHED)):
             raise InputError(
@@ -80,7 +80,7 @@ def _require_decimal_points(file: Path) -> None:
 
 
 def _read_by_vtk(file: Path, notes: list[str]) -> _Stored:
-    """Read a surface in a separate process."""
+    """Read a surface with VTK in a separate process."""
     _, arrays = parse_isolated(
         "meshes.surfaces.vtk_files:vtk_triangles",
         file,
@@ -191,7 +191,7 @@ def _read_text_stl(file: Path) -> _Stored:
 
 
 def _is_whole_ply(file: Path) -> bool:
-    """Return False for a text PLY file whose length differs from its header.
+    """Return False for a text PLY file whose length does not agree with the header.
 
     Binary files are checked when they are read.
     """
@@ -246,7 +246,7 @@ def _vertex(rest: str) -> list[float]:
 
 
 def _polygon(rest: str, count: int) -> list[int]:
-    """Return the zero-based vertex indices of a polygon that is listed after `count` vertices."""
+    """Return the zero-based vertex indices of an OBJ polygon that follows `count` vertices."""
     try:
         numbers = [whole_number_in(each) for each in _FURTHER.sub("", rest).split()]
     except ValueError:

@@ -2,8 +2,8 @@
 
 `meshes.base.isolated_parser` starts this process, because a damaged file can crash VTK. VTK's
 readers print errors to VTK's output window and continue with incomplete arrays, so every printed
-error counts as a failure. Cells are checked before any filter runs. If a cell refers to a missing
-point, a filter would copy memory outside the array of points.
+error counts as a failure. Cells are checked before any filter runs. The check is needed, because a
+filter would read memory outside the point array if a cell refers to a missing point.
 """
 
 import re
@@ -34,7 +34,7 @@ _CORNERS = {
     25: 20,
     26: 15,
 }
-"""Number of points of a cell by its VTK type, for types with a fixed number."""
+"""Number of points of a cell by VTK cell type, for types with a fixed number of points."""
 _HEADING = re.compile(
     r"^(ERROR|Warning|Generic Warning): In .*$|^\w+ \(0x[0-9a-f]+\): ", re.MULTILINE
 )
@@ -46,8 +46,8 @@ def read_vtk(file: Path) -> Any:
     Raises
     ------
     DamagedFileError
-        If the reader printed an error, or if the cells are inconsistent with the file's offsets.
-        The message contains the first printed error.
+        If the reader printed an error, or if the arrays of cells and offsets are inconsistent. The
+        message contains the first printed error.
     InputError
         If a cell refers to a point that does not exist.
     """
@@ -79,8 +79,8 @@ def check_vtk(folder: Path, arrays_by_file: dict[str, list[str]]) -> Answer:
 
     A file is incomplete if one of its required arrays is missing.
 
-    If ``layer`` is one of these arrays, its values must be indices of the field ``layer_names``.
-    The content of the files is not returned.
+    If ``layer`` is a required array, its values must be indices into the field ``layer_names``. The
+    content of the files is not returned.
     """
     for name, wanted in arrays_by_file.items():
         try:
@@ -102,7 +102,7 @@ def check_vtk(folder: Path, arrays_by_file: dict[str, list[str]]) -> Answer:
 
 
 def vtk_triangles(file: Path) -> Answer:
-    """Return the arrays of the surface in a file.
+    """Return the arrays of the surface that a VTK file contains.
 
     The arrays are ``points``, shape (n, 3), and ``triangles``, shape (m, 3).
     """

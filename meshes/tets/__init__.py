@@ -1,1 +1,1 @@
-"""Tetrahedral meshes: files, filling of surfaces, quality and repair."""
+"""Tetrahedral meshes: files, meshing of closed surfaces, quality and repair."""

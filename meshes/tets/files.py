@@ -1,4 +1,4 @@
-"""Tetrahedra of a soft organ, from a file or mesh object, or generated in a closed surface."""
+"""Tetrahedral meshes of soft organs, from a file, a mesh object or a closed surface."""
 
 from collections.abc import Mapping
 from contextlib import redirect_stderr, redirect_stdout
@@ -31,11 +31,11 @@ from meshes.tets.tetrahedralise import tetrahedralise
 _ORGAN_MM = (20.0, 450.0)
 """Range of the longest side of an organ [mm], from a small gland to an enlarged liver.
 
-The range is so narrow that the unit is clear: no stored length lies in the range both as
-millimetres and as metres.
+The range is narrow enough to determine the unit: no length is in the range both if it is read in
+millimetres and if it is read in metres.
 """
 _TYPICAL_MM = 200.0
-"""Longest side [mm] that an organ gets by a suggested scale, the size of a liver."""
+"""Longest side [mm] of an organ after scaling by a suggested scale: the size of a liver."""
 _PER_UNIT = "use 1 for millimetres, 1000 for metres"
 _PART_ARRAYS = (
     "part",
@@ -48,7 +48,7 @@ _PART_ARRAYS = (
     "material",
     "label",
 )
-"""Names of integer cell arrays that may contain part numbers, most probable name first.
+"""Names of integer cell arrays that may contain part numbers, the most probable name first.
 
 Meshing programs write arrays with these names.
 """
@@ -62,7 +62,7 @@ _NO_FACES = np.zeros((0, 3), dtype=np.int64)
 _NO_TETS = np.zeros((0, 4), dtype=np.int64)
 _TETRAHEDRON = 10
 _QUADRATIC_TETRAHEDRON = 24
-"""Cell types of linear and quadratic tetrahedra in VTK."""
+"""VTK cell types of linear and quadratic tetrahedra."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +76,10 @@ class TetFile:
     unit_mm
         Millimetres per unit of the file.
     sentences
-        Sentences on the unit, on findings in the mesh and on changes of the mesh.
+        Sentences that describe the unit, findings in the mesh, and changes of the mesh.
     surface
-        Surface from the file that was filled with tetrahedra; None if the file contains tetrahedra.
+        Surface from the file, if it was filled with tetrahedra; None if the file contains
+        tetrahedra.
     """
 
     mesh: TetMesh
@@ -99,8 +100,8 @@ def read_tets(
     Gmsh text files of versions 1 and 2 (``.msh``) are read by `meshes.tets.msh`, other Gmsh files
     by meshio, and all other formats by pyvista. In a file with tetrahedra, other cells are ignored.
     The part of each cell is read from an integer cell array with a usual name, such as
-    ``gmsh:physical``, ``part`` or ``region``. The field ``part_names`` contains the names of the
-    parts 0, 1, ... in the array ``part``.
+    ``gmsh:physical``, ``part`` or ``region``. If the file has the field ``part_names``, it contains
+    the names of the part numbers 0, 1, ... in the array ``part``.
 
     Parameters
     ----------
@@ -119,8 +120,8 @@ def read_tets(
     Raises
     ------
     InputError
-        If the file is missing, empty or not readable, does not contain a solid, or does not have
-        the size of an organ in millimetres or metres.
+        If the file is missing, empty or not readable, or does not contain a solid. Also raised if
+        the solid does not have the size of an organ in millimetres or metres.
     """
     file = Path(path)
     stored = _read_stored(file)
@@ -208,12 +209,12 @@ def _unit(size: Array, unit_mm: float | None, name: str) -> tuple[float, str]:
 
 @dataclass(frozen=True, eq=False)
 class GivenTets:
-    """Mesh that the caller passed, and repaired mesh on which the simulation is solved.
+    """Mesh that the caller passed, and the repaired mesh for the simulation.
 
     Attributes
     ----------
     points_mm
-        Points in the caller's numbering [mm], shape (n, 3).
+        Points [mm], shape (n, 3), in the caller's numbering.
     mesh
         Tetrahedra [m], repaired if necessary.
     sentences
@@ -233,10 +234,10 @@ def given_tets(
     Parameters
     ----------
     mesh
-        `TetMesh`, pyvista UnstructuredGrid, object with ``points`` and ``cells`` like a meshio
-        mesh, pair of arrays of points and cells, shapes (n, 3) and (m, 4), or file (.vtu .vtk .msh
-        .mesh). The part of each cell is read from a cell array of numbers or names. The array is
-        called ``part`` or has a usual name of a meshing program.
+        One of: a `TetMesh`; a pyvista UnstructuredGrid; a meshio mesh or an object with the same
+        ``points`` and ``cells``; a pair of arrays, points (n, 3) and cells (m, 4); a file (.vtu
+        .vtk .msh .mesh). The part of each cell is read from a cell array of numbers or names. The
+        array has the name ``part`` or a name that meshing programs use.
     scale_mm
         Millimetres per unit of the mesh. If None, the mesh is in millimetres, and its size is
         checked.
@@ -287,7 +288,7 @@ def require_millimetres(name: str, points: Array, scale_mm: float | None) -> flo
 
 
 def _stored(mesh: object) -> StoredMesh:
-    """Return points, tetrahedra and parts of any supported mesh object."""
+    """Return the points, tetrahedra and part numbers of any supported mesh object."""
     if isinstance(mesh, str | Path):
         with names_of_caller({"file": "mesh"}):
             return _read_stored(Path(mesh))
@@ -317,7 +318,8 @@ def _stored(mesh: object) -> StoredMesh:
 def vtk_mesh(file: Path) -> Answer:
     """Read a mesh with VTK, in the process of `meshes.base.isolated_parser`.
 
-    The arrays are the arrays of a `StoredMesh`. The values are its names, as pairs, and its notes.
+    The result has the arrays of a `StoredMesh`, and a dictionary with the part names (as pairs) and
+    the notes of the `StoredMesh`.
     """
     import pyvista
 
@@ -328,7 +330,7 @@ def vtk_mesh(file: Path) -> Answer:
 
 
 def _of_grid(data: Any, source: str) -> StoredMesh:
-    """Return the tetrahedra of a pyvista dataset, or its surface if it has no tetrahedra."""
+    """Return the tetrahedra of a pyvista dataset; the surface if it has no tetrahedra."""
     kinds = np.asarray(getattr(data, "celltypes", ()))
     present = [kind for kind in (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON) if kind in kinds]
     if not present:
@@ -387,8 +389,8 @@ def _parts(
 ) -> tuple[Ints, dict[int, str]]:
     """Return the part number of each cell, shape (m,), and the names of the part numbers.
 
-    Names of the part numbers 0, 1, ... (field ``part_names``) apply to the array ``part``. Names
-    from meshio apply to the array ``gmsh:physical``.
+    The field ``part_names`` names the numbers 0, 1, ... in the array ``part``. Names from meshio
+    belong to the numbers in the array ``gmsh:physical``.
     """
     for array in _PART_ARRAYS:
         values = data.get(array, np.zeros(0))

@@ -1,7 +1,7 @@
-"""Content of mesh files, and reading of Gmsh text files of versions 1 and 2.
+"""Class for the content of a mesh file, and reading of Gmsh text files (versions 1 and 2).
 
-meshio does not read version 1 and is an optional package. `meshes.tets.files` uses meshio for
-version 4 and for binary files.
+These versions are read without meshio, because meshio does not read version 1 and is an optional
+package. `meshes.tets.files` uses meshio for version 4 and for binary files.
 """
 
 from collections.abc import Mapping
@@ -19,14 +19,15 @@ from meshes.tets.tetrahedra import TetMesh
 
 _TRIANGLE = 2
 _TETRAHEDRON = 4
-"""Numbers of element types in Gmsh."""
+"""Numbers of the element types triangle and tetrahedron in Gmsh."""
 _SECTIONS = {1: ("$NOD", "$ELM"), 2: ("$Nodes", "$Elements")}
 _LONGEST_NAME = 60
 """Longest name of a part [characters]. Names are shown in tables and legends."""
 MOST_PARTS = 64
 """Largest number of distinct values in an array of part numbers.
 
-An array with more distinct values does not contain part numbers, but numbers of cells or materials.
+An array with more distinct values is assumed to contain numbers of cells or materials, not part
+numbers.
 """
 
 
@@ -43,7 +44,7 @@ class StoredMesh:
     part
         Part number of each tetrahedron, shape (m,); 0 for a tetrahedron without a part.
     names
-        Names of the parts that have a name.
+        Dictionary from part number to name, for the parts that have a name.
     notes
         Notes on content that is omitted, one sentence each.
     """
@@ -57,7 +58,7 @@ class StoredMesh:
 
     @property
     def used(self) -> Array:
-        """Points of the tetrahedra or, without tetrahedra, of the triangles, shape (k, 3).
+        """Points, shape (k, 3), of the tetrahedra; of the triangles if there are no tetrahedra.
 
         A missing point, or a point that is not finite, raises an `InputError`.
         """
@@ -122,7 +123,7 @@ def broken_sections(file: Path) -> InputError:
 
 
 def is_old_text(file: Path) -> bool:
-    """Return False if a Gmsh file states that it is binary, or has another version than 1 and 2."""
+    """Return False if a Gmsh file is binary or has another version than 1 and 2."""
     with file.open("rb") as stored:
         first = stored.readline(_LONGEST_NAME).split()
         second = stored.readline(_LONGEST_NAME).split()
@@ -145,7 +146,7 @@ def _version(lines: list[str], file: Path) -> int:
 
 
 def _section(lines: list[str], opening: str) -> list[str]:
-    """Return the lines of a section. The first line of the section states their number."""
+    """Return the lines of a section of a Gmsh file."""
     start = lines.index(opening)
     count = whole_number_in(lines[start + 1])
     body = lines[start + 2 : start + 2 + count]
@@ -168,7 +169,7 @@ def _element(line: str, version: int) -> tuple[int, int, list[int]]:
     """Return type, physical group (0 without a group) and nodes of a finite element.
 
     In version 1, the line contains: number, type, physical group, elementary group, count of nodes,
-    nodes. In version 2, it contains: number, type, count of tags, tags, nodes.
+    nodes. In version 2, the line contains: number, type, count of tags, tags, nodes.
     """
     row = [whole_number_in(word) for word in line.split()]
     if version == 1:
@@ -208,7 +209,7 @@ def _names(lines: list[str], file: Path) -> dict[int, str]:
 
 
 def part_name(text: str, known: Mapping[int, str], what: str) -> str:
-    """Return a unique name for a part."""
+    """Return a name for a part that differs from all names in `known`."""
     shown = visible(text).replace("\n", " ").strip()
     if not shown or len(shown) > _LONGEST_NAME or shown in known.values() or shown == "none":
         raise InputError(

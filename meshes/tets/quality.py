@@ -1,7 +1,7 @@
-"""Check and repair of tetrahedra for use in a stiffness matrix.
+"""Check and repair of tetrahedral meshes for finite-element simulation.
 
-Defects are found, located, and repaired by the rules in the table. If a defect cannot be repaired,
-an error is raised.
+Defects are found and repaired by the rules in the table. V is the volume of a cell. If a defect
+cannot be repaired, an error is raised.
 
 ==============  =====================================================  ================================================
 what            when                                                   rule
@@ -53,18 +53,19 @@ _DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)
 _SWEEPS = 3
 """Number of passes over the slivers.
 
-Each pass moves nodes and thereby changes cells that the next pass may improve.
+Each pass moves nodes and changes the cells around them. The next pass may improve these cells
+further.
 """
 _FIRST_STEP = 0.25
 _SMALLEST_STEP = 0.004
-"""First and smallest step of the pattern search, relative to the size of the cells around a node.
+"""First and smallest step of the pattern search for a better node position.
 
-The steps are 1/4, 1/8 ... 1/128 of this size.
+The steps are 1/4, 1/8 ... 1/128 of the size of the cells around the node.
 """
 
 
 def describe(mesh: TetMesh) -> tuple[str, ...]:
-    """Return sentences on the size and quality of a mesh, and on defects that are not repaired."""
+    """Return sentences on size and quality of a mesh, and on defects that were not repaired."""
     nodes = mesh.nodes_m
     volumes = mesh.volumes_m3
     quality = mean_ratio(nodes, mesh.cells)
@@ -99,7 +100,7 @@ def repair_tets(
     part: NDArray[np.integer] | None = None,
     part_names: tuple[str, ...] = ("body",),
 ) -> tuple[TetMesh, tuple[str, ...]]:
-    """Repair a mesh by the rules in the table above.
+    """Repair a mesh by the rules in the table of the module docstring.
 
     Parameters
     ----------
@@ -118,8 +119,8 @@ def repair_tets(
     Raises
     ------
     InputError
-        If nodes are not finite, cells refer to nodes that do not exist or overlap each other, or
-        flat tetrahedra cannot be repaired.
+        If nodes are not finite, cells refer to nodes that do not exist, cells overlap each other,
+        or flat tetrahedra cannot be repaired.
     """
     nodes = np.asarray(nodes_m, dtype=np.float64)
     tets = np.asarray(cells, dtype=np.int64)
@@ -186,8 +187,7 @@ def _joined(nodes: Array, cells: Ints) -> tuple[Array, Ints]:
 def _without_flat(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Bytes, int]:
     """Remove flat cells with a face on the surface.
 
-    All such cells are removed together, and only if no edge is then pinched and no piece is
-    separated.
+    The cells are removed only if this does not pinch an edge or separate a piece of the mesh.
     """
     dropped = 0
     while True:
@@ -207,7 +207,7 @@ def _without_flat(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Bytes,
 
 
 def _flat_turned(nodes: Array, cells: Ints) -> Ints:
-    """Orient flat cells to agree with their neighbours that are not flat.
+    """Orient flat cells such that their orientation agrees with neighbours that are not flat.
 
     The sign of a flat cell's volume is not reliable.
     """
@@ -222,9 +222,9 @@ def _flat_turned(nodes: Array, cells: Ints) -> Ints:
 
 
 def _whole(cells: Ints, keep: Flags) -> bool:
-    """Return whether the mesh stays intact if only the cells `keep` remain.
+    """Return whether the mesh stays intact if only the cells flagged in `keep` remain.
 
-    The number of pieces must not change, and no edge may be pinched.
+    A mesh is intact if its number of pieces is unchanged and no edge is pinched.
     """
     left = cells[keep]
     return pieces(left).max() <= pieces(cells).max() and (
@@ -242,7 +242,7 @@ def _without_debris(nodes: Array, cells: Ints, parts: Bytes) -> tuple[Ints, Byte
 
 
 def _movable(count: int, cells: Ints, parts: Bytes) -> Flags:
-    """Return flags of the nodes that are neither on the surface nor between parts, shape (n,)."""
+    """Return flags, shape (n,), of the nodes that are neither on the surface nor between parts."""
     inner = np.ones(count, dtype=bool)
     inner[outer_faces(cells)] = False
     # Parts are bytes, so 255 is larger than every part.
@@ -325,9 +325,9 @@ def smooth(
     movable: Flags,
     enough: float,
 ) -> tuple[Array, int]:
-    """Improve cells with a mean ratio below `enough` by moving their nodes.
+    """Improve cells whose mean ratio is below `enough` by moving nodes of these cells.
 
-    A pattern search maximises the worst mean ratio of the cells around each node.
+    For each node, a pattern search maximises the smallest mean ratio of the cells around the node.
 
     A move is accepted only if the worst cell around the node improves. After a move, no cell around
     the node is worse than the worst cell before the move.
@@ -339,7 +339,7 @@ def smooth(
     movable
         Whether a node may move, shape (n,).
     enough
-        Mean ratio above which a cell is not improved.
+        Mean ratio that is good enough. Cells with a larger mean ratio are not improved.
 
     Returns
     -------

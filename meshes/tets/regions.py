@@ -1,6 +1,6 @@
 """Selection of nodes of a tetrahedral mesh by position, direction or part.
 
-A body can be supported or loaded at the selected nodes.
+The selected nodes can be used to support or load a body.
 """
 
 from collections.abc import Sequence
@@ -113,10 +113,10 @@ def surface_normals(mesh: TetMesh) -> Array:
 
 
 def place_on_surface(mesh: TetMesh, point_m: Array, around_m: float) -> tuple[Array, Array]:
-    """Return the surface point nearest to a point [m], and its outward normal, shapes (3,).
+    """Return the surface point nearest to a point [m], and the outward normal there, shapes (3,).
 
-    The normal is a weighted mean over the triangles whose centroids lie within `around_m` [m]. The
-    weights increase with the area and with the proximity of a triangle. The normal therefore varies
+    The normal is a weighted mean over the triangles whose centroids lie within `around_m` [m] of
+    the surface point. Large and near triangles have larger weights. The normal therefore varies
     smoothly between facets. If no centroid lies within `around_m`, the normal of the nearest
     triangle is returned.
     """

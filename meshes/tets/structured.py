@@ -19,9 +19,10 @@ from meshes.tets.tetrahedra import TetMesh
 
 
 def grid(x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> TetMesh:
-    """Build cuboids between planes at `x_m`, `y_m` and `z_m` [m], each divided into six tetrahedra.
+    """Build a mesh of cuboids, each divided into six tetrahedra.
 
-    The positions of the planes are ascending, shapes (n + 1,).
+    The cuboids lie between planes at the positions `x_m`, `y_m` and `z_m` [m]. Each of the three
+    arrays is ascending and has one entry more than there are cuboids along its axis.
 
     Raises
     ------
@@ -38,9 +39,10 @@ def grid(x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> TetMesh:
 
 
 def box(size_m: Sequence[float], cells: Sequence[int]) -> TetMesh:
-    """Build a box with opposite corners at the origin and at `size_m` [m], shape (3,).
+    """Build a box with one corner at the origin and the opposite corner at `size_m` [m].
 
-    The box has `cells` cuboids along each axis, and each cuboid has six tetrahedra.
+    `cells` states the number of cuboids along each axis. Each cuboid is divided into six
+    tetrahedra.
     """
     if len(cells) != 3 or min(cells) < 1:
         raise InputError("cells", "be three numbers of at least 1", tuple(cells), "use (4, 4, 4)")
@@ -56,8 +58,8 @@ def graded(start_m: float, end_m: float, first_m: float, growth: float) -> Array
     The first step is about `first_m`, and each further step is `growth` times as long as the step
     before.
 
-    All steps are scaled by the same factor so that the last position is exactly `end_m`. Two such
-    series, one of them reversed, refine a grid towards its centre.
+    All steps are scaled by the same factor so that the last position is exactly `end_m`. To refine
+    a grid towards its centre, use two such series, one of them reversed.
 
     Raises
     ------
@@ -83,9 +85,9 @@ def graded(start_m: float, end_m: float, first_m: float, growth: float) -> Array
 
 
 def _kuhn(counts: Sequence[int]) -> Ints:
-    """Return the tetrahedra of a grid with `counts` cuboids per axis, shape (6 * cuboids, 4).
+    """Return the tetrahedra, shape (6 * cuboids, 4), of a grid with `counts` cuboids per axis.
 
-    In the node numbers, z varies fastest.
+    Nodes are numbered such that the index along z varies fastest.
     """
     stride = np.array([(counts[1] + 1) * (counts[2] + 1), counts[2] + 1, 1])
     bricks = lattice(*map(np.arange, counts))

@@ -1,20 +1,20 @@
-"""Tetrahedra that fill a solid given by its signed distance, from a body-centred cubic lattice.
+"""Tetrahedral meshes of solids given by signed distances, made from a body-centred cubic lattice.
 
 The method is isosurface stuffing (Labelle and Shewchuk, 2007). The surface crosses edges of the
-lattice. A node close to such a crossing is moved onto the crossing. Edges that are still crossed
-are cut at the crossing, and the pieces of the cells are filled with tetrahedra. Quadrilateral faces
+lattice. A node close to such a crossing is moved onto the crossing. All other crossed edges are cut
+at the crossing, and the resulting pieces of cells are filled with tetrahedra. Quadrilateral faces
 between pieces are divided from the node with the lowest number (Dompierre et al., 1999), so
-neighbouring cells conform. If the pieces on both sides of a surface are kept, the inside of the
-surface becomes a part of the mesh.
+neighbouring cells conform. If the pieces on both sides of a surface are kept, the pieces inside the
+surface become a separate part of the mesh.
 
 Refinement bisects tetrahedra at their longest edges. If an edge is the longest edge of every
-tetrahedron around it, the edge and these tetrahedra are bisected. The mesh remains conforming. If a
-tetrahedron has an edge to bisect and also a longer edge, the longer edge is bisected first (Rivara
-1997, Int. J. Numer. Methods Eng. 40:3313). The quality of the tetrahedra remains bounded. By
-default, the surface of the mesh does not change. The surface nodes can also be moved onto a given
-surface. Without such moves, refinement does not reduce the distance between the mesh and the true
-surface. For example, a flat triangle with a length of 20 mm remains up to 0.8 mm below a surface
-with a radius of 60 mm.
+tetrahedron around it, the edge and these tetrahedra are bisected. The mesh therefore remains
+conforming. If a tetrahedron has an edge to bisect but also a longer edge, the longer edge is
+bisected first (Rivara 1997, Int. J. Numer. Methods Eng. 40:3313). The quality of the tetrahedra
+remains bounded. By default, refinement does not change the shape of the mesh, so the distance
+between the mesh and the true surface is not reduced. To reduce this distance, the surface nodes can
+be moved onto the true surface. For example, without moves, a flat triangle of 20 mm remains up to
+0.8 mm below a surface with a radius of 60 mm.
 """
 
 import math
@@ -30,17 +30,16 @@ from meshes.tets.tetrahedra import EDGES, TetMesh, mean_ratio, outer_faces, sign
 from meshes.voxels.mesh_sampling import triangle_distance
 
 Move = Callable[[Array], Array]
-"""Function from points [m], shape (n, 3), to points [m] of the same shape."""
+"""Function that moves points: from positions [m], shape (n, 3), to new positions [m]."""
 _MOST_BISECTED = 5_000_000
 """Largest number of tetrahedra after refinement.
 
-The array of the edges' end nodes takes 0.5 GB, and sorting this array takes several times as much
-memory.
+For this number, the array of edges takes 0.5 GB, and sorting it takes several times as much memory.
 """
 _LEAST_VOLUME = 0.5
-"""Smallest volume of a tetrahedron after one of its nodes is moved, relative to the volume before.
+"""Smallest accepted ratio of a tetrahedron's volume after a node is moved to that before.
 
-If a volume would be smaller, the node is not moved onto the surface.
+If the volume would become smaller, the node is not moved.
 """
 
 
@@ -61,8 +60,8 @@ def bisected(
     size_m
         Function from points [m], shape (n, 3), to the required longest edge [m], shape (n,).
     onto
-        Function that returns the points nearest to the nodes on the surface that the mesh
-        represents. Old and new surface nodes of the mesh are moved to these points.
+        Function that moves points onto the true surface that the mesh represents. All surface nodes
+        are moved by this function. If None, the surface does not change shape.
 
     Raises
     ------
@@ -129,7 +128,7 @@ def bisected(
 
 
 def _moved(nodes: Array, cells: Ints, chosen: Ints, onto: Move) -> Array:
-    """Move the chosen nodes onto the surface.
+    """Move the chosen nodes by the function `onto`, which returns points on a surface.
 
     A node is not moved if the move would flatten a tetrahedron.
     """
@@ -146,39 +145,40 @@ Distance = Callable[[Array], Floats]
 Cells = Ints
 Points = Array
 _SNAP = 0.3
-"""Largest distance of a node that is moved onto a crossing, relative to the crossed edge.
+"""Largest distance from a node to a crossing at which the node is moved, relative to the edge.
 
-With this value, the worst mean ratios of a ball, the liver and a box are 0.41, 0.24 and 0.79. With
-0.2, the worst mean ratios are 0.28, 0.24 and 0.79. With 0.4, they are 0.47, 0.16 and 0.27.
+A crossing is the point where the surface crosses an edge. With the value 0.3, the worst mean ratios
+in meshes of a ball, the liver and a box are 0.41, 0.24 and 0.79. With 0.2, the worst mean ratios
+are 0.28, 0.24 and 0.79. With 0.4, they are 0.47, 0.16 and 0.27.
 """
 _LEAST_QUALITY = 0.15
-"""Smallest mean ratio of a cell after nodes are moved.
+"""Smallest accepted mean ratio (quality measure) of a cell after nodes are moved.
 
-For values from 0.1 to 0.2, the meshes of the ball, liver and box do not change. With 0.05, the
-worst mean ratio of the liver is 0.08.
+For values from 0.1 to 0.2, test meshes of a ball, the liver and a box are the same. With 0.05, the
+worst mean ratio in the liver mesh is 0.08.
 """
 _STEPS = 6
 """Number of steps in the search for the point where the surface crosses an edge.
 
-For the ball, liver and box, the error of this point is at most 0.04 um. With 4 steps, the error is
-at most 0.7 um.
+For test meshes of a ball, the liver and a box, the error of this point is at most 0.04 um. With 4
+steps, the error is at most 0.7 um.
 """
 _MOST_CELLS = 20_000_000
-"""Largest number of lattice cells. They take 0.6 GB."""
+"""Largest number of lattice cells. This number of cells takes 0.6 GB."""
 EDGE_GROWTH = 0.5
-"""Increase of the edge length per distance from the fine region, the same as in scenes."""
+"""Increase of the edge length per distance from a fine region, equal to the scenes' default."""
 _EDGES = 3.0
 """Number of tetrahedron edges across an inclusion that is a ball.
 
-For a tube, the same rule gives two edges across the tube. Quadratic edges follow the curvature of
-the surface.
+For a tube, the same rule gives two edges across the tube. This is enough if the elements have
+quadratic edges, which follow the curvature of the surface.
 """
 _TRIES = 4
 _CLOSE = 0.01
 """Largest number of meshes that are tried for an inclusion, and accepted volume error.
 
-The error is relative to the inclusion's volume. Of the meshes within this error, the mesh with the
-best quality of its worst cell is used. If no mesh is within the error, the mesh with the smallest
+The error is relative to the inclusion's volume. Of the meshes within this error, the mesh whose
+worst cell has the best quality is used. If no mesh is within the error, the mesh with the smallest
 error is used.
 """
 
@@ -191,8 +191,8 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
     shape
         Solid with finite bounds. Details smaller than the spacing are lost.
     spacing_m
-        Side of the lattice's cubes [m]. There are twelve tetrahedra per cube, with edges of 0.87
-        and 1 times the side.
+        Side [m] of the cubes of the lattice. There are twelve tetrahedra per cube. The edges of a
+        tetrahedron are 0.87 or 1 times as long as the side.
 
     Raises
     ------
@@ -243,8 +243,8 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
 def with_part(mesh: TetMesh, shape: Shape, name: str) -> TetMesh:
     """Make a new part of the mesh from the inside of a shape.
 
-    Only cells of the mesh's first part are changed. Faces on the shape's surface bound the new
-    part.
+    Only cells of the mesh's first part are changed. The new part is bounded by faces of cells on
+    the shape's surface.
 
     Raises
     ------
@@ -266,12 +266,12 @@ def with_part(mesh: TetMesh, shape: Shape, name: str) -> TetMesh:
 
 
 def cut_by(nodes: Points, cells: Cells, distance: Distance) -> tuple[Points, Cells, Flags, Cells]:
-    """Cut tetrahedra along the zero level of a signed distance, and keep the two sides.
+    """Cut tetrahedra along the zero level of a signed distance, and keep the pieces on both sides.
 
     Returns
     -------
     Nodes, shape (n, 3); cells, shape (m, 4); flags of the cells on the negative side, shape (m,);
-    index of the original cell that contains each cell, shape (m,).
+    index of the original cell from which each cell was cut, shape (m,).
     """
     value = np.asarray(distance(nodes), dtype=np.float64)
     nodes, value = _snapped(nodes, cells, value, distance)
@@ -298,7 +298,7 @@ def cut_by(nodes: Points, cells: Cells, distance: Distance) -> tuple[Points, Cel
 def _crossed_edges(cells: Cells, side: Cells) -> tuple[Flags, Cells]:
     """Return flags of the cells with nodes on both sides of the surface, and the crossed edges.
 
-    Each edge is listed once, shape (k, 2).
+    The edges, shape (k, 2), are listed once each.
     """
     crossed = (side[cells].min(axis=1) < 0) & (side[cells].max(axis=1) > 0)
     pairs = np.unique(np.sort(cells[crossed][:, EDGES].reshape(-1, 2), axis=1), axis=0)
@@ -313,7 +313,7 @@ def _turned(nodes: Points, cells: Cells) -> Cells:
 def _filled(corners: Cells, side: Cells, number: dict[tuple[int, int], int]) -> list[list[int]]:
     """Return tetrahedra that fill the part of a cell in which `side` is not negative.
 
-    At the corners of the cell, at least one value of `side` is positive.
+    `side` must be positive at one corner of the cell at least.
     """
     plus, zero, minus = (corners[side == sign].tolist() for sign in (1, 0, -1))
 
@@ -344,7 +344,7 @@ def _filled(corners: Cells, side: Cells, number: dict[tuple[int, int], int]) -> 
 def _prism(bottom: list[int], top: list[int]) -> list[list[int]]:
     """Divide a prism into three tetrahedra.
 
-    Every quadrilateral face is divided from its node with the lowest number.
+    Every quadrilateral face is divided by the diagonal through the face's lowest node number.
     """
     if min(top) < min(bottom):
         bottom, top = top, bottom
@@ -359,7 +359,8 @@ def _prism(bottom: list[int], top: list[int]) -> list[list[int]]:
 def _snapped(nodes: Points, cells: Cells, value: Array, distance: Distance) -> tuple[Points, Array]:
     """Move nodes near the surface onto the nearest crossing if all cells keep enough quality.
 
-    A node is near if its distance from the crossing is less than `_SNAP` times the edge.
+    A node is near if its distance from the crossing is less than `_SNAP` times the length of the
+    crossed edge.
     """
     _, pairs = _crossed_edges(cells, np.sign(value).astype(np.int64))
     node = pairs.T.ravel()
@@ -448,24 +449,25 @@ def with_inclusion(
     volume_m3: float,
     onto: Move | None = None,
 ) -> tuple[TetMesh, str]:
-    """Make a new part from the inside of a closed surface.
+    """Make a new part of the mesh from the region inside a closed surface.
 
     Return the mesh, and a note on the volume of the part.
 
-    Edges on the surface are at most 2 V / A long, where V is the enclosed volume and A the area.
-    For a ball, this length is a third of the diameter. Cells of an earlier part are not changed.
+    Mesh edges on the surface are at most 2 V / A long, where V is the enclosed volume and A the
+    area of the surface. For a ball, this length is a third of the diameter. Cells of an earlier
+    part are not changed.
 
     Parameters
     ----------
     mesh, name
-        Mesh that gets the new part, and name of this part.
+        Mesh to which the part is added, and name of the part.
     vertices_m, triangles
         Surface of the part [m] with outward normals. It may extend outside the mesh.
     volume_m3
         Volume of the part inside the mesh [m3].
     onto
-        Function that returns the points nearest to the nodes on the surface that the mesh
-        represents. The surface nodes of the mesh are moved to these points.
+        Function that moves points onto the true surface that the mesh represents. The surface nodes
+        of the mesh are moved by this function. If None, they are not moved.
 
     Raises
     ------

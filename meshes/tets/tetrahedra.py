@@ -1,4 +1,4 @@
-"""Tetrahedral meshes: nodes, cells, parts, surface, and measures of quality."""
+"""Class for tetrahedral meshes, and functions for cells, surfaces and quality measures."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -24,7 +24,7 @@ Cells = Ints
 
 
 def signed_volumes(nodes: Nodes, cells: Cells) -> Array:
-    """Compute the volume of each tetrahedron in cubed units of the nodes, shape (m,).
+    """Compute the signed volume, shape (m,), of each tetrahedron in cubed units of the nodes.
 
     The volume is negative if a tetrahedron is inverted.
     """
@@ -61,12 +61,13 @@ def flatness(nodes: Nodes, cells: Cells) -> Array:
 def cell_faces(cells: Cells) -> tuple[Ints, Ints, Ints]:
     """Return all faces of all cells, four per cell, with outward normals.
 
-    A face of two cells is listed twice.
+    A face that belongs to two cells is listed twice.
 
     Returns
     -------
-    Triangles, shape (4 m, 3); index of each face, shape (4 m,); number of cells with this face,
-    shape (4 m,). The same face has the same index in either orientation.
+    Triangles, shape (4 m, 3); index of each distinct face, shape (4 m,); number of cells to which
+    this face belongs, shape (4 m,). A face has the same index in both cells, although its two
+    orientations differ.
     """
     triangles = cells[:, FACES].reshape(-1, 3)
     _, where, count = np.unique(
@@ -100,20 +101,20 @@ def pieces(cells: Cells) -> Ints:
 
 
 def pinched_edges(surface: Cells) -> Ints:
-    """Return the edges of a surface that have more than two triangles, shape (k, 2)."""
+    """Return the edges, shape (k, 2), at which more than two triangles of a surface meet."""
     edges, uses = np.unique(np.sort(directed_edges(surface), axis=1), axis=0, return_counts=True)
     return edges[uses > 2]
 
 
 def _edge_squares(nodes: Nodes, cells: Cells) -> Array:
-    """Compute the squared length of each edge, shape (6, m)."""
+    """Compute the squared length, shape (6, m), of the six edges of each tetrahedron."""
     return np.stack(
         [((nodes[cells[:, i]] - nodes[cells[:, j]]) ** 2).sum(axis=1) for i, j in EDGES]
     )
 
 
 def place(points_m: Array) -> str:
-    """Format the mean of points [m], shape (n, 3), in mm for a message."""
+    """Format the mean position of points [m], shape (n, 3), for a message, in mm."""
     return in_brackets(1e3 * points_m.mean(axis=0), ".3g")
 
 
@@ -219,9 +220,9 @@ def grid_of(mesh: TetMesh) -> "pyvista.UnstructuredGrid":
 
 
 def write_organ(mesh: TetMesh, path: str | Path) -> None:
-    """Write a mesh [mm] with its parts and part names.
+    """Write a mesh with its parts and part names to a VTU file, in mm.
 
-    The file can be used as ``anatomy.file`` of a scene, and read by `read_tets`.
+    The file can be used for the scene key ``anatomy.file``. `read_tets` can read the file.
 
     Raises
     ------

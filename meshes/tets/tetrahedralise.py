@@ -1,9 +1,9 @@
-"""Filling of a closed surface with tetrahedra by fTetWild (Hu et al., 2020), with a cache.
+"""Meshing of closed surfaces with tetrahedra by fTetWild (Hu et al., 2020), with a cache.
 
-fTetWild keeps the surface within an envelope and determines the inside from the winding number. A
-surface that crosses itself is therefore filled as the union of the enclosed regions. The meshes of
-two runs differ slightly, also on one thread. The cache makes meshes reproducible, because equal
-surfaces get the same stored mesh.
+fTetWild moves the surface only within a thin envelope. It determines the inside from the winding
+number, so a surface that crosses itself is filled as the union of the enclosed regions. The results
+of two runs of fTetWild differ slightly, even on one thread. The cache makes results reproducible,
+because equal surfaces get the same stored mesh.
 """
 
 from dataclasses import replace
@@ -20,17 +20,17 @@ from meshes.tets.quality import describe, repair_tets
 from meshes.tets.tetrahedra import TetMesh, signed_volumes
 
 FILL_EDGES = 14.0
-"""Number of tetrahedron edges along the longest side of an organ if no edge is given."""
+"""Number of tetrahedron edges along an organ's longest side if no edge length is given."""
 _CELLS = 30_000
-"""Number of tetrahedra of a solid if no edge is given.
+"""Number of tetrahedra in a mesh if no edge length is given.
 
 With this number, computing the compliance of 500 nodes takes 10 s.
 """
 _EDGE_PER_CELL = 2.7
-"""Ratio of target edge to cube root of the mean cell volume, measured for fTetWild on a liver."""
+"""Target edge / cube root of the mean cell volume, measured for fTetWild on a liver."""
 _ENVELOPE = 0.1
 _FARTHEST_M = 4e-4
-"""Distance by which fTetWild may move the surface, relative to the edge, and upper limit [m].
+"""Distance by which fTetWild may move the surface: share of the edge, and upper limit [m].
 
 The upper limit is smaller than the voxels of scans from which surfaces are made.
 """
@@ -39,19 +39,19 @@ _VOLUME_OFF = 0.005
 _STEPS = 8
 """Largest number of moves of the surface in `with_volume`.
 
-Each move squares the remaining relative error of the volume, or fixes the nodes of tetrahedra that
-the move would flatten.
+Each move squares the remaining relative error of the volume. If a move would flatten tetrahedra,
+their nodes are held fixed instead.
 """
 _OFF = 1e-6
-"""Relative volume error accepted after the moves. If it is larger, the moves are discarded."""
+"""Relative volume error accepted after the moves. With a larger error, moves are discarded."""
 _LEAST_KEPT = 0.2
-"""Smallest volume of a tetrahedron after a move, relative to its volume before all moves."""
+"""Smallest accepted ratio of a tetrahedron's volume after a move to that before all moves."""
 
 
 def tetrahedralise(
     surface: Surface, *, edge_m: float | None = None, report: Progress = silent
 ) -> tuple[TetMesh, tuple[str, ...]]:
-    """Fill a closed surface with tetrahedra, or return its mesh from the cache.
+    """Fill a closed surface with tetrahedra, or return the mesh of this surface from the cache.
 
     Parameters
     ----------
@@ -134,18 +134,19 @@ def _filled(surface: Surface, edge: float, envelope: float) -> tuple[np.ndarray,
 
 
 def with_volume(mesh: TetMesh, volume_m3: float, *, within_m: float) -> TetMesh:
-    """Move the mesh's surface along the normals so that the mesh encloses a volume.
+    """Move the mesh's surface along its normals so that the mesh has a given volume.
 
     All surface nodes move by the same distance.
 
-    Nodes of tetrahedra that would become too small are not moved.
+    An exception are nodes of tetrahedra that would become too small. These nodes are not moved.
 
     Parameters
     ----------
     mesh
-        Mesh whose flat facets do not enclose exactly the volume of the body that it represents.
+        Mesh of a body. Because the facets of the mesh are flat, the mesh has a slightly different
+        volume than the body.
     volume_m3
-        Volume to enclose [m3].
+        Required volume of the mesh [m3].
     within_m
         Largest distance by which the surface may move [m]. If a larger distance is needed, the
         surface is not moved.

@@ -1,1 +1,1 @@
-"""Teeth: procedural, from layered surfaces, or from label images."""
+"""Anatomies of teeth: procedural, from one surface per layer, or from label images."""

@@ -1,13 +1,13 @@
-"""Labels of a tooth in a site's frame, and their conversion to voxels.
+"""Label image of a tooth in a site's frame, and conversion of the labels to voxels.
 
-There are two conversions to voxels: `resampled` and `LabelShares`.
+Labels are converted to voxels by `resampled` or by `LabelShares`.
 
 `resampled` counts the labels at sub-samples of each voxel, which is fast for a whole tooth.
-`LabelShares` is a continuous function of position and does not depend on the voxel grid. For this
-function, the mask of each layer is smoothed by the kernel of `meshes.voxels.label_shares`, with a
-standard deviation of 1.5 voxels, and then interpolated. The result is called the share of the
-layer. For labels of planes and balls, the RMS error of the surface is 0.08 voxels, without bias. A
-layer with a thickness of two voxels becomes thicker by 0.2 voxels on each side.
+`LabelShares` defines continuous functions of position, which do not depend on the voxel grid. The
+mask of each layer is smoothed by the kernel of `meshes.voxels.label_shares`, with a standard
+deviation of 1.5 voxels, and then interpolated. The interpolated value is called the share of the
+layer. For labels of planes and balls, the position of the surface has an RMS error of 0.08 voxels
+and no bias. A layer with a thickness of two voxels becomes thicker by 0.2 voxels on each side.
 """
 
 from __future__ import annotations
@@ -39,18 +39,19 @@ from meshes.voxels.volume import FULL, VoxelVolume
 MOST_SAMPLES = 6
 """Largest number of sub-samples along the edge of a voxel.
 
-The number of sub-samples per voxel is then 216, which fits in a byte.
+With six, the number of sub-samples per voxel is 216, which fits in a byte.
 """
 SPREAD = 1.5
 """Standard deviation of the Gaussian in the smoothing kernel [voxel].
 
-With 1.0, the position error of planes is 0.10 voxels (RMS). With 2.0, the error of thin layers is
-larger.
+With 1.0, planes have a position error of 0.10 voxels (RMS). With 2.0, thin layers have a larger
+error.
 """
 REACH = 8
-"""Width [voxel] of the margin around a region in which labels influence the shares in the region.
+"""Width [voxel] of the margin around a region. Labels in the margin influence shares in the region.
 
-The width is four standard deviations, plus one voxel for the Laplacian and one for interpolation.
+The width is four standard deviations of the smoothing, plus one voxel for the Laplacian and one for
+interpolation.
 """
 _SLAB = 8
 """Number of voxel planes that a thread fills at once.
@@ -60,24 +61,24 @@ The number is small, so that progress is reported often.
 _THREADS = 2
 """Number of threads. NumPy releases the interpreter lock in most of the work."""
 _SURELY = 0.49
-"""Difference between a share and one half above which no surface lies within one voxel."""
+"""If a share differs from one half by more than this value, no surface lies within one voxel."""
 _HALF_DIAGONAL = 0.5 * 3.0**0.5
 _DENSITY_KG_M3 = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=np.uint16)
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedLabels:
-    """Layer image with its position in the site frame.
+    """Label image of a tooth with its position in the site frame.
 
     Attributes
     ----------
     layer
-        Layer index, `EMPTY` outside the tooth and at the border of the array, uint8, shape (nx, ny,
-        nz), C-contiguous.
+        Layer index of each voxel, uint8, shape (nx, ny, nz), C-contiguous. The value is `EMPTY`
+        outside the tooth and at the border of the array.
     spacing
         Voxel sizes [m], shape (3,).
     first_m
-        Centre of voxel (0, 0, 0) in the file's frame [m], shape (3,).
+        Centre [m], shape (3,), of voxel (0, 0, 0) in the file's frame.
     origin, rotation
         Origin of the site relative to `first_m` [m], and axes of the site as columns in the file's
         frame.
@@ -106,18 +107,18 @@ class PlacedLabels:
 
     @property
     def placement(self) -> Placement:
-        """Placement of the site in the file."""
+        """Placement of the site frame in the frame of the file."""
         return Placement(1e3 * (self.first_m + self.origin), self.rotation)
 
     def around(self, corners: Array, reach: int) -> tuple[Bytes, Array, Array]:
-        """Return the labels in and around a box [m] of the site frame, and a map to their indices.
+        """Return the labels in and around a box [m] of the site frame, and a map to array indices.
 
         The labels extend `reach` voxels beyond the box.
 
         Returns
         -------
-        A copy of the labels, ``start``, shape (3,), and ``turn``, shape (3, 3). A point of the site
-        frame [m] has the index ``start + turn @ point`` [voxel] in this copy.
+        Copy of the labels; vector ``start``, shape (3,); matrix ``turn``, shape (3, 3). A point of
+        the site frame [m] has the index ``start + turn @ point`` [voxel] in the copy.
         """
         turn = self.rotation / self.spacing[:, None]
         start = self.origin / self.spacing
@@ -148,15 +149,15 @@ def resampled(
     most_samples: int = MOST_SAMPLES,
     progress: Callable[[float], None] | None = None,
 ) -> VoxelVolume:
-    """Convert the whole tooth to voxels with the edge `size` [m], cropped to the tooth.
+    """Convert the whole tooth to voxels with the edge `size` [m], and crop the array to the tooth.
 
-    The grid lines lie at integer multiples of the edge.
+    The grid lines lie at integer multiples of the voxel edge.
 
     Fractions and layers are computed from sub-samples. The distance between neighbouring
     sub-samples is at most the voxel size of the image, unless a voxel would need more than
     `most_samples` sub-samples along an axis. The bone fraction is the share of the sub-samples that
-    lie in any layer. The layer of a voxel is the most frequent layer of its sub-samples. If several
-    layers are equally frequent, the first of them in `PRIORITY` is used.
+    lie in any layer. The layer of a voxel is the most frequent layer of the voxel's sub-samples. If
+    several layers are equally frequent, the layer that comes first in `PRIORITY` is used.
 
     Raises
     ------
@@ -211,10 +212,10 @@ def resampled(
 
 
 def _parts_by_layer(placed: PlacedLabels, grid: Grid, parts: int, layers: Sequence[int]) -> Bytes:
-    """Count the sub-samples of each voxel by layer, for up to eight layers, shape (nx, ny, nz, 8).
+    """Count the sub-samples of each voxel by layer; the counts have the shape (nx, ny, nz, 8).
 
-    A 64-bit word consists of eight one-byte counters, so one addition counts all layers. The number
-    of sub-samples, `parts`³, must fit in a byte.
+    At most eight layers are possible. A 64-bit word consists of eight one-byte counters, so one
+    addition counts all layers. The number of sub-samples, `parts`³, must fit in a byte.
     """
     counter = np.zeros(EMPTY + 1, dtype=np.uint64)
     counter[list(layers)] = np.uint64(1) << (np.uint64(8) * np.arange(len(layers), dtype=np.uint64))
@@ -232,7 +233,7 @@ def _parts_by_layer(placed: PlacedLabels, grid: Grid, parts: int, layers: Sequen
 
 @dataclass(frozen=True, eq=False)
 class LabelShares:
-    """Smoothed shares of layers at any point of a box.
+    """Share (smoothed and interpolated mask) of each layer at any point of a box.
 
     Attributes
     ----------
@@ -240,7 +241,7 @@ class LabelShares:
         Indices of the layers in the box, uint8. If two layers have equal shares at a point, the
         first of them is used.
     shares
-        Share of each layer at the voxels, float32, shape (nx, ny, nz).
+        One array of shares for each layer, float32, shape (nx, ny, nz).
     solid
         Sum of the shares of all layers.
     start, turn
@@ -272,7 +273,7 @@ class LabelShares:
     ) -> LabelShares:
         """Compute the shares of layers by smoothing `labels`, shape (nx, ny, nz).
 
-        The voxels of `labels` have the sides `voxel_m` [m], shape (3,).
+        `voxel_m` contains the sides of a voxel of `labels` [m], shape (3,).
         """
         deviation = SPREAD * float(voxel_m.max())
         there = [layer for layer in layers if (labels == layer).any()]
@@ -311,7 +312,7 @@ class LabelShares:
         return in_chunks(largest, points)
 
     def distance(self, points: Floats) -> Array:
-        """Compute the signed distance [m] to the surface at points [m], shape (n, 3).
+        """Compute the signed distance [m] of points [m], shape (n, 3), from the tooth's surface.
 
         At points farther from the surface than `deviation_m`, the standard deviation of the
         smoothing, the magnitude of the result is only a lower bound of the distance.
@@ -321,8 +322,8 @@ class LabelShares:
     def fraction(self, grid: Grid) -> Singles:
         """Compute the fraction of each voxel that lies inside the surface.
 
-        A voxel is divided into parts that are at most as large as a voxel of the label image. In
-        each part, the surface is treated as a plane.
+        A voxel is divided into cubes that are at most as large as a voxel of the label image. In
+        each cube, the surface is treated as a plane.
         """
         from scipy.ndimage import binary_dilation
 
@@ -351,7 +352,7 @@ class LabelShares:
         return result.reshape(grid.shape)
 
     def _part_fraction(self, centres: Array, size: float) -> Singles:
-        """Compute the fraction of each cube that lies inside the surface, shape (n,)."""
+        """Compute the fraction, shape (n,), of each cube that lies inside the surface."""
         distance = self.distance(centres)
         fraction = (distance < 0.0).astype(np.float32)
         crossed = np.flatnonzero(np.abs(distance) < _HALF_DIAGONAL * size)

@@ -1,6 +1,7 @@
 """Tooth from a label image (segmented micro-CT).
 
-The tooth is oriented by the position of its enamel and resampled along the axes of its site.
+The position of the enamel determines the orientation of the tooth. The image is resampled along the
+axes of the tooth's site.
 """
 
 from __future__ import annotations
@@ -33,26 +34,26 @@ from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import voxelise
 
 CARIES_LABELS: Mapping[int, str] = {1: "caries", 2: "enamel", 3: "dentin"}
-"""Labels in segmentations of carious extracted teeth."""
+"""Default layer names of the labels, as in segmentations of carious extracted teeth."""
 
 _FINEST_DEFAULT_MM = 0.1
-"""Smallest default voxel size [mm]. A whole tooth in the voxels of a micro-CT takes gigabytes."""
+"""Smallest default voxel size [mm]. In the voxels of a micro-CT, a tooth takes gigabytes."""
 _CAVITY_M = 0.1e-3
-"""Size [m] of the voxels in which pulp and lesion are searched, the default of a scene."""
+"""Size [m] of the voxels in which pulp and lesion are searched, equal to scenes' default."""
 _CAVITY_SAMPLES = 2
-"""Number of sub-samples along an edge of a voxel in the search for the cavity."""
+"""Number of sub-samples along a voxel edge in the search for the pulp cavity."""
 _SITE_POINTS = 200_000
 """Number of voxels from which the axes of a tooth are computed.
 
 The error of the tooth's centre is then 0.01 mm.
 """
 _MOST_VOXELS = 4e8
-"""Largest number of voxels. Fraction, layer and density take 4 bytes per voxel, 1.6 GB in total."""
+"""Largest number of voxels. The arrays take 4 bytes per voxel, 1.6 GB in total."""
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledTooth:
-    """Tooth in a label image at a site, for conversion to voxels of any size.
+    """Tooth from a label image with its site. The tooth can be converted to voxels of any size.
 
     Attributes
     ----------
@@ -63,7 +64,7 @@ class LabelledTooth:
     finest_mm
         Smallest side of the image's voxels [mm].
     sentences
-        Sentences on findings in the image and on changes to it.
+        Sentences on findings in the image and on changes of the image.
     """
 
     placed: PlacedLabels
@@ -77,7 +78,7 @@ class LabelledTooth:
         return PulpCavity.of(resampled(self.placed, _CAVITY_M, most_samples=_CAVITY_SAMPLES))
 
     def at_lesion(self) -> LabelledTooth:
-        """Return the same tooth with the site above the lesion.
+        """Return a copy of the tooth whose site is above the lesion.
 
         See `meshes.tooth.layers.lesion_site`.
         """
@@ -103,20 +104,21 @@ class LabelledTooth:
 
         For the whole tooth, fractions and layers are computed from sub-samples, see
         `meshes.tooth.label_sampling.resampled`. For a region, fractions, layers and distances are
-        computed from the interpolated shares of the labels. The surface in a region is therefore
-        the same for all voxel sizes. If no label is the pulp, the empty cavity in the dentin is
-        used as the pulp.
+        computed from the interpolated shares of the labels. The surface of the tooth in a region is
+        therefore the same for all voxel sizes. If no label is the pulp, the empty cavity in the
+        dentin is used as the pulp.
 
         Parameters
         ----------
         resample_mm
-            New voxel size [mm]. None: the voxel size of the image, but at least 0.1.
+            New voxel size [mm]. If None, the voxel size of the image is used, but at least 0.1 mm.
         region_m
-            Corners [m] of the region in the site frame with the smallest and the largest
-            coordinates; None: the whole tooth. The content of a voxel does not depend on the
-            region.
+            Corners [m] of the region with the smallest and the largest coordinates, in the site
+            frame. If None, the whole tooth is converted. The content of a voxel does not depend on
+            the region.
         remark
-            Function that is called with each sentence on assumptions, findings and removed pieces.
+            Function that is called once for each assumption, finding or removed piece, with a
+            sentence that describes it.
         progress
             Function that is called with the finished fraction, 0 to 1.
 
@@ -177,7 +179,7 @@ class LabelledTooth:
         return volume
 
     def _pulp_note(self) -> tuple[str, ...]:
-        """Describe the region that is used as pulp if no label is the pulp."""
+        """Return a note on the region that is used as pulp if no label is the pulp."""
         if self.has_pulp:
             return ()
         if self.cavity is None:
@@ -188,7 +190,7 @@ class LabelledTooth:
         )
 
     def _anatomy(self, corners: Array) -> Anatomy:
-        """Return the anatomy of the tooth between two corners [m], with the pulp cavity filled."""
+        """Return the anatomy of the tooth in a box [m], with the pulp cavity filled."""
         labels, start, turn = self.placed.around(corners, REACH)
         if not self.has_pulp and self.cavity is not None:
             back = np.linalg.inv(turn)
@@ -319,7 +321,7 @@ def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], 
 
 
 def _placed(layer: Bytes, spacing: Array, first_m: Array) -> tuple[PlacedLabels, str]:
-    """Find the site of a tooth, and return the placed labels and a text on the method."""
+    """Find the site of a tooth. Return the labels at this site, and a text on the method."""
     layer = np.ascontiguousarray(np.pad(layer, 1, constant_values=EMPTY))
     axes = tooth_axes(
         _points(layer == ENAMEL, spacing), _points((layer != ENAMEL) & (layer != EMPTY), spacing)
@@ -345,7 +347,7 @@ def _placed(layer: Bytes, spacing: Array, first_m: Array) -> tuple[PlacedLabels,
 
 
 def _points(flags: Flags, spacing: Array) -> Array:
-    """Return the centres [m] of an even selection of the flagged voxels, shape (n, 3)."""
+    """Return the centres [m], shape (n, 3), of evenly selected flagged voxels."""
     found = np.flatnonzero(flags)
     found = found[:: max(len(found) // _SITE_POINTS, 1)]
     return np.column_stack(np.unravel_index(found, flags.shape)) * spacing

@@ -1,4 +1,4 @@
-"""Fit of the layers of a tooth: overlaps, gaps and enclosed voids, measured on a lattice of points.
+"""Overlaps, gaps and enclosed voids between the layers of a tooth, measured on a lattice of points.
 
 A gap is a space between two layers that should touch, with a width of at most 0.3 mm along x, y or
 z. At its deepest point, a gap is more than 0.45 mm below the outer surface. Wider spaces, and
@@ -33,13 +33,13 @@ _TOUCHING = [
 _TOUCH_M = 0.5e-3
 """Largest distance between two layers that count as touching [m]."""
 _POINTS_TESTED = 4000
-"""Number of points of a layer at which the distance to other layers is measured.
+"""Number of surface points of a layer at which the distance to other layers is measured.
 
-On a tooth, the points are 0.3 mm apart.
+On the surface of a tooth, the points are 0.3 mm apart.
 """
 _NEAR_M = 0.2e-3
 _LEAST_WITHIN = 0.6
-"""Smallest share of the pulp's surface that must lie in the dentin or near the dentin's surface.
+"""Smallest valid share of the pulp's surface that lies in the dentin or near its surface.
 
 Near means at a distance of less than ``_NEAR_M``.
 """
@@ -47,7 +47,10 @@ Near means at a distance of less than ``_NEAR_M``.
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """Values on a lattice of points with the spacing `pitch` [m] and the first point `origin`."""
+    """Values on a lattice of points.
+
+    `pitch` is the spacing of the points [m], and `origin` is the first point [m].
+    """
 
     origin: Array
     pitch: float
@@ -75,12 +78,12 @@ class Lattice:
 
 
 def inside_lattice(vertices: Array, faces: Ints, axes: Sequence[Array]) -> Flags:
-    """Return whether the points of a lattice lie within a closed surface, shape (nx, ny, nz).
+    """Return flags, shape (nx, ny, nz), of the lattice points that lie in a closed surface.
 
     Parameters
     ----------
     axes
-        Coordinates of the lattice along x, y and z [m], evenly spaced, ascending.
+        Coordinates of the lattice points along x, y and z [m], each evenly spaced and ascending.
     """
     x, y, z = axes
     crossings = column_crossings(vertices, faces, x, y)
@@ -105,8 +108,8 @@ def measure_contact(solids: Mapping[str, Triangles]) -> tuple[Lattice, dict[str,
 
     Returns
     -------
-    Lattice with the index + 1 of the layer to which a gap is assigned, 0 outside gaps; notes on
-    overlaps, gaps and voids.
+    Lattice, and notes on overlaps, gaps and voids. The value of a lattice point in a gap is 1 plus
+    the index of the layer to which the gap is assigned. Other points have the value 0.
     """
     from scipy.ndimage import binary_fill_holes
 
@@ -137,7 +140,7 @@ def measure_contact(solids: Mapping[str, Triangles]) -> tuple[Lattice, dict[str,
 
 
 def _listed(counts: Mapping[tuple[str, str], int]) -> str:
-    """Return the volumes of numbers of lattice points for pairs of layers as a text."""
+    """Format the volume for each pair of layers, given as a number of lattice points."""
     volumes = [
         f"{one} and {other} {_CUBE_MM3 * count:.3g} mm3"
         for (one, other), count in counts.items()
@@ -147,9 +150,10 @@ def _listed(counts: Mapping[tuple[str, str], int]) -> str:
 
 
 def _gaps(label: Bytes, names: list[str]) -> tuple[Bytes, dict[tuple[str, str], int]]:
-    """Return the layer to which each lattice point in a gap is assigned, as the layer index + 1.
+    """Return 1 plus the index of the layer to which each lattice point in a gap is assigned.
 
-    Also return the number of gap points for each pair of layers.
+    Points outside gaps have the value 0. Also return the number of gap points for each pair of
+    layers.
     """
     pairs = [pair for pair in combinations(names, 2) if set(pair) in _TOUCHING]
     between = np.zeros_like(label)
@@ -170,9 +174,10 @@ def _gaps(label: Bytes, names: list[str]) -> tuple[Bytes, dict[tuple[str, str], 
 
 
 def _drop_creases(between: Bytes, label: Bytes) -> None:
-    """Remove spaces that are nowhere deeper than 1.5 times the largest gap width, in place.
+    """Remove shallow spaces between layers from the array `between`, in place.
 
-    Such a space is the crease between two layers at the outer surface.
+    A space is shallow if its depth is at most 1.5 times the largest gap width. Such a space is the
+    crease between two layers at the outer surface, and not a gap.
     """
     from scipy.ndimage import distance_transform_edt
     from scipy.ndimage import label as connected
@@ -189,8 +194,8 @@ def _drop_creases(between: Bytes, label: Bytes) -> None:
 def _neighbours(label: Bytes, axis: int) -> tuple[Bytes, Bytes, NDArray[np.int16]]:
     """Return the labels of the nearest filled points before and after each point along an axis.
 
-    A label is 0 if there is no filled point. Also return the number of points between the two
-    filled points.
+    If there is no filled point on a side, the label is 0. Also return the number of points between
+    the two filled points.
     """
     count = label.shape[axis]
     place = np.arange(count, dtype=np.int16).reshape([-1 if k == axis else 1 for k in range(3)])
@@ -214,8 +219,8 @@ def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangl
     Parameters
     ----------
     points_m, solids
-        Points on the surface of each layer [m], shape (n, 3), and vertices [m] and triangles of
-        each layer.
+        Points [m], shape (n, 3), on the surface of each layer, and the surface of each layer:
+        vertices [m] and triangles.
     """
     from scipy.spatial import cKDTree
 
@@ -247,7 +252,7 @@ def require_pulp_within(pulp_m: Array, dentin: Triangles, dentin_samples_m: Arra
     Parameters
     ----------
     pulp_m, dentin_samples_m
-        Points on the surfaces of pulp and dentin [m], shape (n, 3).
+        Points [m], shape (n, 3), on the surfaces of pulp and dentin.
     dentin
         Vertices [m] and triangles of the dentin.
     """

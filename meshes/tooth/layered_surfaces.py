@@ -1,7 +1,7 @@
 """Tooth from one closed surface per layer.
 
-The surfaces are moved to the site frame, their overlaps and gaps are measured and resolved, and a
-bone socket is added.
+The surfaces are moved to the site frame. Overlaps and gaps between layers are measured and assigned
+to a layer. A bone socket can be added.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 _SAMPLE_PITCH_M = 0.1e-3
 _MOST_SAMPLES = 300_000
-"""Distance between the sample points of a layer's surface, and largest number of these points.
+"""Distance [m] between sample points of a layer's surface, and largest number of sample points.
 
 The largest number is enough for a surface of 30 cm2.
 """
@@ -63,7 +63,7 @@ _SOCKET_PITCH_M = 0.2e-3
 Around a root with a radius of 3 mm, the interpolation error is 2 um.
 """
 _FAR_M = 1.0
-"""Distance [m] from the socket outside its table. It is longer than any tooth."""
+"""Distance [m] that is assumed outside the table of socket distances, longer than any tooth."""
 _MERGE_TOLERANCE_M = 1e-8
 """Largest distance [m] at which vertices of two surfaces are merged.
 
@@ -74,7 +74,7 @@ _DENSITY = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=
 
 @dataclass(frozen=True, eq=False)
 class LayeredSolid:
-    """Surfaces of a tooth's layers in the site frame, with gaps and socket.
+    """Surfaces of a tooth's layers in the site frame, with gaps between layers and bone socket.
 
     Attributes
     ----------
@@ -85,7 +85,8 @@ class LayeredSolid:
     samples, sample_layer
         Sample points of all surfaces, and layer index of each point.
     gap
-        Lattice with the index + 1 of the layer to which each gap is assigned, 0 outside gaps.
+        Lattice whose values are 1 plus the index of the layer to which a gap is assigned, and 0
+        outside gaps.
     socket
         Lattice with the distance from the bone socket [m], negative inside. Without a socket, the
         lattice is one distant point.
@@ -131,8 +132,8 @@ class LayeredSolid:
         """Return layer and density [kg/m3] at points, see `meshes.shapes.anatomy.Classify`.
 
         A point in several layers belongs to the layer with the highest priority. A point outside
-        all layers belongs to the layer to which its gap is assigned, to the bone if it lies in the
-        socket, or otherwise to the nearest layer.
+        all layers belongs to the layer to which its gap is assigned. A point outside layers and
+        gaps belongs to the bone if it lies in the socket, and otherwise to the nearest layer.
         """
         layer = np.full(len(points), len(TOOTH_LAYERS), dtype=np.uint8)
         left = np.arange(len(points))
@@ -165,13 +166,14 @@ def joined(solids: Sequence[Triangles]) -> Triangles:
 def _socket(ligament: Array, others: Array, margin: float) -> Lattice:
     """Tabulate the distance [m] from the bone socket.
 
-    The socket consists of the points within `margin` of the ligament that are nearer to the
-    ligament than to the other layers.
+    The socket consists of the points within `margin` [m] of the ligament's surface. Points that are
+    nearer to another layer than to the ligament are excluded.
 
     Parameters
     ----------
     ligament, others
-        Points of the ligament's surface and of the other layers' surfaces [m], shape (n, 3).
+        Points [m], shape (n, 3), on the surface of the ligament, and on the surfaces of the other
+        layers.
     """
     from scipy.spatial import cKDTree
 
@@ -203,15 +205,15 @@ def layered_surfaces(
     paths_by_layer
         Dictionary from layer name to file. Enamel and dentin are required.
     scale_mm
-        Millimetres per unit of the files. None: the unit is guessed from the dentin and used for
-        all files.
+        Millimetres per unit of the files. If None, the unit is guessed from the size of the dentin,
+        and used for all files.
     socket_mm, at_lesion
         See `layered_anatomy`.
 
     Raises
     ------
     InputError
-        If a file cannot be used. The other errors are listed in `layered_anatomy`.
+        If a file cannot be used. `layered_anatomy` lists further errors.
     """
     require_known(paths_by_layer, "paths_by_layer")
     dentin = _read("dentin", paths_by_layer["dentin"], scale_mm)
@@ -242,10 +244,11 @@ def layered_anatomy(
 
     The long axis of the tooth passes through the middle of the enamel. The origin is the point
     where this axis leaves the enamel. A thin bur that moves down this axis first touches the tooth
-    at the origin. z points from the roots to the crown, and x along the wider direction of the
-    roots. A voxel that several layers share is full and belongs to the layer that contains its
-    centre. The layers therefore have the correct total volumes. The overlap of two layers, and the
-    gap between them, are assigned to the layer that comes first in `meshes.tooth.layers.PRIORITY`.
+    at the origin. z points from the roots to the crown. x points in the direction in which the
+    roots are wider. A voxel that contains parts of several layers is full, and belongs to the layer
+    at the voxel's centre. On average, the volume of each layer is therefore correct. An overlap of
+    two layers, or a gap between two layers, is assigned to the layer that comes first in
+    `meshes.tooth.layers.PRIORITY`.
 
     Parameters
     ----------
@@ -256,16 +259,16 @@ def layered_anatomy(
         Thickness of the bone that is added around the ligament [mm], 0 (no bone) to 10. The bone
         consists of points that are nearer to the ligament than to all other layers of the tooth.
     at_lesion
-        Whether the origin lies above the lesion, see `meshes.tooth.layers.lesion_site`.
+        Whether the site's origin lies above the lesion, see `meshes.tooth.layers.lesion_site`.
     at
-        Site in the frame of the surfaces. None: the site is searched.
+        Site in the frame of the surfaces. If None, the site is searched.
 
     Raises
     ------
     InputError
-        If a layer is unknown, enamel or dentin is missing, the size is implausible for a tooth,
-        layers do not touch, the pulp lies outside the dentin, or there is a socket without a
-        ligament.
+        If a layer is unknown, enamel or dentin is missing, or the size is implausible for a tooth.
+        Also raised if layers do not touch, the pulp lies outside the dentin, or `socket_mm` is
+        given without a ligament.
     """
     require_known(surfaces, "surfaces")
     # 10 mm is more than the thickness of bone around a root.
@@ -321,7 +324,7 @@ def _solid(
     gap: Lattice,
     margin: float,
 ) -> LayeredSolid:
-    """Combine the layers in the site frame, and add a socket with the thickness `margin` [m].
+    """Combine the layers in the site frame, and add a bone socket with the thickness `margin` [m].
 
     The first layer has the highest priority.
     """
@@ -345,7 +348,7 @@ def _solid(
 
 
 def _spread(surface: Surface) -> Array:
-    """Sample a surface with points [m] that are about 0.1 mm apart, shape (n, 3)."""
+    """Return sample points [m], shape (n, 3), of a surface, about 0.1 mm apart."""
     area = float(triangle_areas(surface.vertices_m, surface.faces).sum())
     # At least 1000 points are needed to compute axes and distances of a small layer.
     count = int(np.clip(area / _SAMPLE_PITCH_M**2, 1000, _MOST_SAMPLES))

@@ -1,6 +1,7 @@
 """Layers of a tooth: names, densities, softness of carious dentin, checks, and sites.
 
-M = from memory of the literature, with confidence H, M or L.
+In the table, M at the start means from memory of the literature. The second letter is the
+confidence: high (H), medium (M) or low (L).
 
 =========  =================  ==========================================================================
 enamel     2900 kg/m3         M, H: 2.8 to 3.0 (Weidmann 1967)
@@ -12,9 +13,9 @@ bone       1800 kg/m3         M, H: alveolar bone taken as cortical throughout
 =========  =================  ==========================================================================
 
 The site of a tooth is determined by the long axis of the tooth or by a lesion. The long axis is a
-principal axis of all points of the tooth. It is the principal axis with the smallest angle to the
-line between the centres of dentin and enamel. If all angles are larger than 25 degrees, as in a
-crown without roots, this line is the long axis."""  # noqa: E501 a table
+principal axis of all points of the tooth. The principal axis with the smallest angle to the line
+between the centres of dentin and enamel is chosen. If all three angles are larger than 25 degrees,
+as in a crown without roots, the line itself is the long axis."""  # noqa: E501 a table
 
 import math
 from collections.abc import Callable, Iterable
@@ -43,8 +44,8 @@ LAYER_DENSITY_KG_M3 = {
 }
 """Density of each layer [kg/m3].
 
-The density of `caries` applies to a lesion of unknown softness. The softness is then assumed to be
-one half.
+The density of `caries` is used if the softness of a lesion is unknown. This density belongs to a
+softness of one half.
 """
 
 EMPTY = 255
@@ -54,19 +55,20 @@ PRIORITY = ("caries", "pulp", "enamel", "dentin", "ligament", "bone")
 
 _SOUND_KG_M3 = 2100.0
 _INFECTED_KG_M3 = 1300.0
-"""Densities of dentin with softness 0 and 1, see the table above."""
+"""Densities [kg/m3] of dentin with the softness 0 and 1, see the table of the module docstring."""
 _POINTS_AT_ONCE = 1 << 17
-"""Number of points evaluated at once. Their coordinates take 3 MB, which fits in the cache."""
+"""Number of points evaluated at once. The coordinates take 3 MB, which fits in the cache."""
 _SMALLEST_MM = 5.0
 _LARGEST_MM = 40.0
 _TYPICAL_MM = 18.0
-"""Longest side [mm] of a crown without roots, of a canine with its root, and of a typical molar."""
+"""Longest sides [mm] of three teeth: crown without roots, canine with root, and typical molar."""
 
 
 def caries_density(softness: Floats) -> Floats:
     """Compute the density [kg/m3] of carious dentin from its softness.
 
-    The density is linear in the softness, 0 (sound) to 1 (fully softened).
+    The density is a linear function of the softness, which is 0 for sound and 1 for fully softened
+    dentin.
     """
     return _SOUND_KG_M3 - (_SOUND_KG_M3 - _INFECTED_KG_M3) * softness
 
@@ -85,7 +87,7 @@ def caries_softness(density_kg_m3: Floats) -> Floats:
 
 
 def in_chunks(function: Callable[[Floats], NDArray[Kind]], points: Floats) -> NDArray[Kind]:
-    """Apply a function of points, shape (n, 3), to parts that fit in the processor's cache."""
+    """Apply a function to points, shape (n, 3), in chunks that fit in the processor's cache."""
     if len(points) <= _POINTS_AT_ONCE:
         return function(points)
     starts = range(0, len(points), _POINTS_AT_ONCE)
@@ -117,10 +119,11 @@ def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: floa
     Parameters
     ----------
     argument, given
-        Name of the argument that determines the size, and the value of this argument as text.
+        Name of the user's argument that determines the size of the tooth, and the given value as
+        text.
     per_unit
-        Longest side [mm] divided by the value in `given`: the number of voxels along the side, or
-        the length of the side in units of the file.
+        Longest side [mm] divided by the user's value. This is the number of voxels along the side,
+        or the length of the side in units of the file.
     """
     if _SMALLEST_MM <= size_mm <= _LARGEST_MM:
         return
@@ -135,26 +138,28 @@ def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: floa
 _LEAST_RISE_M = 0.4e-3
 """Smallest distance [m] between the centres of enamel and dentin in a valid tooth.
 
-The distance is 6.3 mm in the procedural molar, and 2.2 mm in the molar's crown without roots.
+For comparison, the distance is 6.3 mm in the procedural molar, and 2.2 mm in the crown of this
+molar without roots.
 """
 _MOST_LEANING = math.cos(math.radians(25.0))
 """Cosine of the angle up to which a principal axis counts as the tooth's long axis.
 
-The angle is 0 degrees in the procedural molar, and 5 degrees in the molar's crown without roots.
+For comparison, the angle to the nearest principal axis is 0 degrees in the procedural molar, and 5
+degrees in the crown of this molar without roots.
 """
 _SMOOTH_M = 0.3e-3
 _AROUND_M = 0.5e-3
-"""Standard deviation [m] of the smoothing of the outer surface, and radius [m] of the mean normal.
+"""Standard deviation [m] for smoothing the outer surface, and radius [m] for averaging normals.
 
 For comparison, the voxel size is 0.1 to 0.15 mm.
 """
 _BEYOND_M = 1.0e-3
-"""Distance [m] beyond the nearest surface point at which the search for the origin ends."""
+"""Distance [m] beyond the nearest surface point at which the search for a site's origin ends."""
 _UPRIGHT = 0.7
-"""Cosine of the smallest angle between site normal and tooth axis at which y points to the crown.
+"""Cosine of an angle of 45 degrees between site normal and tooth axis.
 
-The angle is 45 degrees. At smaller angles, the direction to the crown is nearly parallel to the
-normal.
+At larger angles, the site's y axis points to the crown. At smaller angles, the direction to the
+crown is too close to the normal.
 """
 
 
@@ -165,12 +170,12 @@ class ToothAxes:
     Attributes
     ----------
     rotation
-        Site axes as columns in the frame of the points, shape (3, 3), right-handed: z from the
-        roots to the crown, x along the widest direction of the lower half (mesiodistal if there are
-        two roots; the sign is unknown).
+        Axes of the site as columns, shape (3, 3), in the frame of the points. The axes are
+        right-handed. z points from the roots to the crown. x is the widest direction of the lower
+        half, with unknown sign (mesiodistal if there are two roots).
     middle_m
-        Centre of the enamel [m], shape (3,). The site's origin lies above or below this point along
-        z.
+        Centre of the enamel [m], shape (3,). The site's origin lies on the line through this point
+        along z.
     note
         Sentence on the method that found the long axis.
     """
@@ -188,7 +193,8 @@ def tooth_axes(enamel_m: Array, body_m: Array) -> ToothAxes:
     Parameters
     ----------
     enamel_m, body_m
-        Points of the enamel, and points of dentin, pulp and ligament [m], shapes (n, 3) and (m, 3).
+        Points [m] of the enamel, shape (n, 3), and points [m] of dentin, pulp and ligament, shape
+        (m, 3).
 
     Raises
     ------
@@ -246,15 +252,16 @@ def lesion_site(tooth: VoxelVolume) -> Site:
     """Find the site above the centre of a tooth's largest lesion.
 
     The outward normal is the normal of the smoothed outer surface at the point nearest to the
-    centre of the lesion. The line along the normal through the centre of the lesion leaves the
-    tooth at the origin. If the angle between the normal and the tooth's axis is larger than 45
-    degrees, y points to the crown. Otherwise, x is close to the x axis of the tooth's frame.
+    centre of the lesion. The origin is the point where the line through the centre of the lesion
+    along the normal leaves the tooth. If the angle between the normal and the tooth's axis is
+    larger than 45 degrees, y points to the crown. Otherwise, x points approximately along the x
+    axis of the tooth's frame.
 
     Parameters
     ----------
     tooth
-        Voxels of the whole tooth in its own frame, z from the roots to the crown, with its pulp
-        filled.
+        Voxels of the whole tooth, with the pulp filled. The z axis of the voxels points from the
+        roots to the crown.
 
     Raises
     ------
@@ -301,7 +308,7 @@ def lesion_site(tooth: VoxelVolume) -> Site:
 def _outward(smooth: Singles, middle: Array, spacing: float) -> tuple[Array, Array]:
     """Return the mean outward normal around the surface point nearest to `middle`.
 
-    Also return this point [voxel].
+    Also return the surface point nearest to `middle` [voxel].
     """
     # The smoothed surface lies at the value 0.5. The values 0.3 and 0.7 lie 0.16 mm on either side
     # of it, a voxel or more.

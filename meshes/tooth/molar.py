@@ -1,8 +1,9 @@
 """Procedural lower first molar with ligament, bone socket and caries.
 
-The tooth has enamel with cusps, dentin, and a pulp with horns and canals.
+The tooth consists of enamel with cusps, of dentin, and of a pulp with horns and canals.
 
-Sources: M = from memory of the literature, with confidence H, M or L.
+In the table, M at the start means from memory of the literature. The second letter is the
+confidence: high (H), medium (M) or low (L).
 
 =============================  =============  ======================================================================
 crown, mesiodistal             11.0 mm        M, H: Nelson & Ash, mandibular first molar; 9.0 at the cervix
@@ -52,11 +53,14 @@ from meshes.tooth.molar_parts import (
 )
 
 _CREST_M = 1.5e-3
-"""Distance [m] from the cervical line down to the bone crest, see the table above."""
+"""Distance [m] from the cervical line down to the bone crest, see the module docstring."""
 _LEAST_OVER_PULP_M = 0.3e-3
-"""Smallest thickness [m] of dentin between lesion and pulp, six voxels of the scene ``caries``."""
+"""Smallest thickness [m] of dentin between lesion and pulp.
+
+The thickness is six voxels of the example scene ``caries``.
+"""
 _SHALLOWEST_LESION_M = 0.1e-3
-"""Depth [m] of the shallowest lesion, two voxels of the scene ``caries``."""
+"""Smallest depth [m] of a lesion: two voxels of the example scene ``caries``."""
 _DENSITY = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=np.float32)
 
 
@@ -73,8 +77,8 @@ class MolarSizes(Ranged):
     root_length_mm
         Length from the buccal cervical line to the apices [mm].
     enamel_thickness_mm
-        Thickness above the highest cusp along z [mm]. The thickness is 62 % of this value in the
-        fossa, and 0 at the cervical line.
+        Thickness of the enamel [mm], measured along z above the highest cusp. In the fossa, the
+        thickness is 62 % of this value. At the cervical line, it is 0.
     cusp_height_mm
         Height from the central fossa to the highest cusp tip [mm].
     pulp_roof_mm
@@ -86,11 +90,11 @@ class MolarSizes(Ranged):
         Thickness [mm] of the bone around and below the roots. The bone is a block with a flat
         crest.
     caries_depth_mm
-        Depth of a lesion under the fossa [mm]. With 0, there is no lesion. Otherwise, the depth
-        must be at least 0.1, and at least 0.3 less than the depth of the chamber's roof. The
-        boundary of the lesion is an ellipsoid that extends from the fossa down to this depth. The
-        softness is (1 - r²)², where r is 0 at the centre and 1 at the boundary of the ellipsoid;
-        see `meshes.tooth.layers.caries_softness`.
+        Depth of a lesion under the fossa [mm]; 0 for no lesion. A lesion must have a depth of at
+        least 0.1 mm, and end at least 0.3 mm above the roof of the pulp chamber. The boundary of
+        the lesion is an ellipsoid that extends from the fossa down to this depth. The softness of
+        the lesion is (1 - r²)², where r is 0 at the centre and 1 at the boundary of the ellipsoid.
+        See `meshes.tooth.layers.caries_softness`.
     caries_diameter_mm
         Largest diameter of the lesion [mm].
     """
@@ -112,9 +116,9 @@ def molar(**sizes_mm: float) -> Anatomy:
     """Build a lower first molar in its socket, in the site frame of teeth.
 
     The origin is the bottom of the central fossa on the enamel. A thin bur that moves down the
-    tooth's long axis first touches the tooth at the origin. A ball that is wider than the fossa
-    touches the inclines of the cusps, slightly above the origin. x points mesially, y buccally, and
-    z out of the tooth. The bur comes from +z, and the roots point to -z.
+    tooth's long axis first touches the tooth at the origin. A ball burr that is wider than the
+    fossa first touches the cusps, slightly above the origin. x points mesially, y buccally, and z
+    out of the tooth. The bur comes from +z, and the roots point to -z.
 
     Parameters
     ----------
@@ -124,7 +128,8 @@ def molar(**sizes_mm: float) -> Anatomy:
     Raises
     ------
     InputError
-        If a size is not finite or out of range, or the chamber or the lesion does not fit.
+        If a size is not finite or out of range, or if the pulp chamber or the lesion does not fit
+        into the tooth.
     """
     sizes = MolarSizes(**sizes_mm)
     depth = 1e-3 * sizes.caries_depth_mm
@@ -175,14 +180,14 @@ def molar(**sizes_mm: float) -> Anatomy:
 
 
 def _require_fit(depth: float, roof: float, line: float) -> None:
-    """Raise an error for an impossible lesion, and for a chamber that extends into the roots.
+    """Raise an error for an impossible lesion, or for a pulp chamber that extends into the roots.
 
     A lesion must not be too shallow or too near to the pulp.
 
     Parameters
     ----------
     depth, roof, line
-        Depths of the lesion, of the chamber's roof and of the cervical line below the fossa [m].
+        Depths [m] below the fossa of the lesion, the chamber's roof and the cervical line.
     """
     if 0.0 < depth < _SHALLOWEST_LESION_M:
         raise InputError(
@@ -227,7 +232,8 @@ def _layers(
 ) -> Classify:
     """Return a function that computes the layer and density of points.
 
-    Pulp lies in dentin, and dentin lies in enamel. Ligament and bone lie around the roots.
+    From inside to outside, the layers are pulp, dentin and enamel. Ligament and bone lie around the
+    roots.
     """
     crest = crown.cervix - _CREST_M
 
@@ -276,9 +282,10 @@ def _layers(
 
 
 def _softness(points: Floats, diameter: float, depth: float) -> Floats:
-    """Compute the softness (1 - r²)², where r is 1 on an ellipsoid. The softness is 0 outside.
+    """Compute the softness of the lesion, which is an ellipsoid.
 
-    The ellipsoid extends from the fossa down.
+    The softness is (1 - r²)², where r is 0 at the centre and 1 on the ellipsoid. Outside, the
+    softness is 0. The ellipsoid extends from the fossa down.
     """
     across = (points[:, 0] ** 2 + points[:, 1] ** 2) * (4.0 / diameter**2)
     along = (points[:, 2] + 0.5 * depth) ** 2 * (4.0 / depth**2)
@@ -290,10 +297,11 @@ def _true_distance(
     points: Floats,
     value: Floats,
 ) -> Floats:
-    """Compute the distance [m] from a surface to first order, near the surface.
+    """Compute the distance [m] of points from a surface, to first order near the surface.
 
-    The surface is the zero level of `function`. The distance is the function's value divided by the
-    slope of the function. The slope is computed from finite differences over 20 µm.
+    The surface is the set of points at which `function` is zero. The distance is `value`, the
+    function's value at the points, divided by the slope of the function. The slope is computed by
+    finite differences over 20 µm.
     """
     # 20 um: single precision resolves 1e-9 m here, and the curvature of the shapes is negligible
     # within 20 um.

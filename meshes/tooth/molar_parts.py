@@ -3,8 +3,8 @@
 The parts are in the site frame of `meshes.tooth.molar`.
 
 Lengths are in metres. The crown has a side wall with superelliptic sections and an occlusal surface
-of cones. There is one cone for each cusp, and the cones meet in the grooves. Roots and canals are
-round cones with curved axes, flattened along x.
+of cones. There is one cone for each cusp. Neighbouring cones meet in the grooves. Roots and canals
+are round cones with curved axes, flattened along x.
 """
 
 from dataclasses import dataclass
@@ -25,8 +25,9 @@ _CUSPS = (
 )
 """Positions and heights of the cusp tips.
 
-Each entry has three numbers: mesial position x divided by half the crown's width, buccal position y
-divided by half the crown's length, and height divided by the height of the highest cusp.
+Each entry has three numbers. The first is the mesial position x, relative to half the crown's
+width. The second is the buccal position y, relative to half the crown's length. The third is the
+height, relative to the highest cusp.
 """
 _TRUE_CUSPS = 5
 """Number of cusps at the start of `_CUSPS`. The other entries are ridges."""
@@ -49,25 +50,25 @@ _WALL_ENAMEL = 0.62  # thickness at the wall / thickness above cusps
 _STEEPEST = 1.85
 """Upper bound of the slope of `tooth_distance`.
 
-The largest slope that was found for valid sizes is 1.74.
+In a search over valid sizes, the largest slope was 1.74.
 """
 _CANAL_RISE_M = 0.8e-3  # height above the roots at which canals start, within the chamber
 
 
 @dataclass(frozen=True)
 class Crown:
-    """Size of the crown.
+    """Sizes of a molar's crown.
 
     Attributes
     ----------
     half_width, half_length
-        Half the mesiodistal and buccolingual size at the widest section [m].
+        Half the mesiodistal and buccolingual size [m] at the widest section.
     height
-        Height from the cervical line on the buccal side to the highest cusp tip [m].
+        Height [m] from the cervical line on the buccal side to the highest cusp tip.
     cusp_height
-        Height from the central fossa to the highest cusp tip [m].
+        Height [m] from the central fossa to the highest cusp tip.
     enamel
-        Thickness of the enamel above the highest cusp [m].
+        Thickness [m] of the enamel above the highest cusp.
     """
 
     half_width: float
@@ -78,22 +79,22 @@ class Crown:
 
     @property
     def cervix(self) -> float:
-        """Height z of the cervical line on the buccal side [m]."""
+        """Height z [m] of the cervical line on the buccal side."""
         return self.cusp_height - self.height
 
     @property
     def fossa_enamel(self) -> float:
-        """Thickness of the enamel in the central fossa [m]."""
+        """Thickness [m] of the enamel in the central fossa."""
         return _FOSSA_ENAMEL * self.enamel
 
     @property
     def cusp_tips(self) -> Floats:
-        """Tips of the five cusps [m], shape (5, 3)."""
+        """Tips [m], shape (5, 3), of the five cusps."""
         scale = np.array([self.half_width, self.half_length, self.cusp_height])
         return np.array(_CUSPS[:_TRUE_CUSPS]) * scale
 
     def occlusal_height(self, x: Floats, y: Floats) -> Floats:
-        """Compute the height z of the chewing surface [m].
+        """Compute the height z [m] of the chewing surface.
 
         Each cusp is a cone with a round tip that extends down to the fossa.
         """
@@ -109,9 +110,10 @@ class Crown:
 
     @property
     def _fossa(self) -> float:
-        """Height [m] of the blended cones at the point where the seven cones meet.
+        """Height [m] of the occlusal surface at the point where the cones of the seven cusps meet.
 
-        At this point, the height of each cone is 0. Blending the cones raises the surface.
+        The height of each cone is 0 at this point, but the surface is higher, because the cones are
+        blended.
         """
         level = 0.0
         for _ in _CUSPS[1:]:
@@ -119,7 +121,7 @@ class Crown:
         return level
 
     def cervical_line(self, x: Floats) -> Floats:
-        """Compute the height z of the cervical line [m].
+        """Compute the height z [m] of the cervical line.
 
         The cervical line is higher on the mesial and distal sides.
         """
@@ -128,7 +130,7 @@ class Crown:
         )
 
     def wall(self, p: Floats) -> Floats:
-        """Compute the horizontal distance from the side wall of crown and root trunk [m].
+        """Compute the horizontal distance [m] of points from the side wall of crown and root trunk.
 
         The distance is negative inside.
         """
@@ -145,9 +147,9 @@ class Crown:
 
     @staticmethod
     def _bulge(height: Floats, axis: int) -> Floats:
-        """Compute the ratio of the crown's half width to its largest half width at given heights.
+        """Compute the crown's half width at given heights, relative to the largest half width.
 
-        The relative heights range from 0 (cervix) to 1 (cusp tips).
+        Heights are relative: 0 is the cervix, and 1 is the height of the cusp tips.
         """
         widest = _BULGE[axis]
         low = np.clip((widest - height) / widest, 0.0, 1.0)
@@ -157,7 +159,7 @@ class Crown:
         return 1.0 - (1.0 - _CERVIX[axis]) * low * low - (1.0 - _TABLE[axis]) * high * high
 
     def outside(self, p: Floats) -> Floats:
-        """Compute the distance [m] from the union of crown and root trunk.
+        """Compute the distance [m] of points from the union of crown and root trunk.
 
         The distance from the chewing surface is measured along z. The distance from the side wall
         is measured horizontally.
@@ -166,7 +168,7 @@ class Crown:
         return smooth_maximum(self.wall(p), top, _EDGE_M)
 
     def outside_dentin(self, p: Floats) -> Floats:
-        """Compute the distance from the dentin under the enamel [m], measured as in `outside`.
+        """Compute the distance [m] of points from the dentin under the enamel, as in `outside`.
 
         Below the cervical line, the result is equal to `outside`.
         """
@@ -181,17 +183,17 @@ class Crown:
 
 @dataclass(frozen=True)
 class Root:
-    """Round cone with a curved axis in the x-z plane. The cone is wider along y than along x.
+    """Root of a molar: a round cone with a curved axis in the x-z plane, wider along y than x.
 
     Attributes
     ----------
     top, length
-        Height of the upper end, and length from the upper end to the apex [m].
+        Height of the root's upper end [m], and length from the upper end to the apex [m].
     axis
-        Coefficients [m] of 1, u and u² in the x coordinate of the axis, where u is 0 at the top and
-        1 at the apex.
+        Coefficients [m] of the polynomial 1, u, u² for the x coordinate of the axis. The variable u
+        is 0 at the top and 1 at the apex.
     radius, apex_radius
-        Half width along x at the top and at the apex [m].
+        Half widths [m] along x, at the top and at the apex.
     flattening
         Ratio of the half width along x to the half width along y.
     """
@@ -205,7 +207,7 @@ class Root:
 
     @property
     def reach_x(self) -> float:
-        """Largest distance of the root from the tooth's long axis along x [m]."""
+        """Largest distance [m] along x of a point of the root from the tooth's long axis."""
         u = np.linspace(0.0, 1.0, 33)
         axis = self.axis[0] + u * (self.axis[1] + u * self.axis[2])
         return float(np.max(np.abs(axis) + self.radius + u * (self.apex_radius - self.radius)))
@@ -231,9 +233,9 @@ class Root:
         )
 
     def canal(self, p: Floats, *, radius: float, offset: tuple[float, float]) -> Floats:
-        """Compute the distance [m] from a canal along the root's axis.
+        """Compute the distance [m] of points from a canal that follows the root's axis.
 
-        `offset` is the shift of the canal along y at its top and at its apex [m].
+        `offset` contains the shifts [m] of the canal along y, at the top and at the apex.
         """
         depth = self.top + _CANAL_RISE_M - p[:, 2]
         u = np.clip(depth * (1.0 / self.length), 0.0, 1.0)
@@ -266,7 +268,7 @@ def mandibular_roots(crown: Crown, root_length: float) -> tuple[Root, Root]:
 
 
 def tooth_distance(crown: Crown, roots: tuple[Root, Root], p: Floats, *, dentin: bool) -> Floats:
-    """Compute the distance [m] from the whole tooth, or from its dentin including the pulp.
+    """Compute the distance [m] of points from the whole tooth, or from the dentin with the pulp.
 
     The distance is negative inside.
     """
@@ -280,8 +282,8 @@ def tooth_distance(crown: Crown, roots: tuple[Root, Root], p: Floats, *, dentin:
 def outer_shape(crown: Crown, roots: tuple[Root, Root]) -> Shape:
     """Build the outer surface of the tooth as a shape.
 
-    The value of `tooth_distance` is divided by the upper bound of its slope. The result is
-    therefore a bound of the true distance.
+    The value of `tooth_distance` is divided by the upper bound of the function's slope. The
+    magnitude of the result is therefore a lower bound of the true distance.
     """
     # A margin of a tenth includes the inclination of the crown, 7 % of its half length. A margin of
     # 2 % includes the tips.
@@ -293,7 +295,7 @@ def outer_shape(crown: Crown, roots: tuple[Root, Root]) -> Shape:
 
 
 def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
-    """Build the signed distance of the pulp [m].
+    """Build the pulp as a signed distance function [m].
 
     The pulp has a chamber with a horn under each cusp, two canals in the mesial root and one canal
     in the distal root.
@@ -301,7 +303,7 @@ def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
     Parameters
     ----------
     roof
-        Depth of the chamber's roof below the fossa [m].
+        Depth [m] of the chamber's roof below the fossa.
     """
     # The height of the chamber is from the table. The other sizes and positions [m] are chosen by
     # eye, inside the dentin.
@@ -327,9 +329,11 @@ def pulp_shape(crown: Crown, roots: tuple[Root, Root], roof: float) -> Shape:
 def _round_cone(
     across: Floats, along: Floats, radius: float, end_radius: float, length: float
 ) -> Floats:
-    """Compute the distance [m] from the convex hull of two balls on an axis (I. Quilez).
+    """Compute the distance [m] of points from the convex hull of two balls (I. Quilez).
 
-    The second ball is `length` farther along the axis.
+    The centres of the balls lie on one axis, at the distance `length` [m]. `across` and `along` are
+    the coordinates of the points perpendicular to the axis and along it, measured from the first
+    centre.
     """
     sine = (radius - end_radius) / length
     cosine = float(np.sqrt(1.0 - sine * sine))

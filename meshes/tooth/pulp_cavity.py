@@ -1,4 +1,4 @@
-"""Pulp of a scanned tooth without a pulp label: the filled cavity in the dentin."""
+"""Search for the pulp of a scanned tooth without a pulp label: the cavity in the dentin."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ The major foramina of molars and premolars are about 0.4 to 0.7 mm wide (Green 1
 _LARGEST_MOUTH_M2 = 1.0e-6
 """Largest area [m2] of one opening in the roots.
 
-A round opening with a diameter of 0.8 mm has an area of 0.5 mm2. In voxels, the stepped area of the
-opening is up to twice as large.
+A round opening with a diameter of 0.8 mm has an area of 0.5 mm2. The area of the voxel faces in
+such an opening is up to twice as large.
 """
 _CROWN_LEAK_M2 = 0.05e-6
 """Largest area of openings in the crown [m2].
 
-The value allows leaks of the segmentation with an area of five voxel faces.
+The value allows small errors of the segmentation, with an area of five voxel faces.
 """
 _VOLUME_M3 = (1e-9, 200e-9)
 """Limits of the volume of a pulp cavity [m3].
@@ -41,27 +41,28 @@ _LEAST_DENTIN = 0.5
 The rest of the wall may be caries, or enamel if the crown is worn.
 """
 _ENAMEL_PERCENT = 2.0
-"""Percentage of the enamel that may lie below the neck of a tooth, because it is mislabelled."""
+"""Percentage of the enamel voxels that may lie below the neck of a tooth, due to mislabelling."""
 
 
 @dataclass(frozen=True, eq=False)
 class PulpCavity:
-    """Void in the dentin of a whole tooth that may be its pulp.
+    """Void in the dentin of a whole tooth that is assumed to be the tooth's pulp.
 
     A void is the pulp cavity if it has a plausible volume, lies in dentin, and is closed except for
-    apical foramina. A ball with a diameter of more than 0.8 mm cannot enter the void. The openings
-    of the void lie in the roots and are at most 1 mm2 each. Fissures, grooves and clefts between
-    roots are not pulp cavities, because they are open along their length.
+    apical foramina. Closed means that a ball with a diameter of more than 0.8 mm cannot enter the
+    void. It also means that all openings lie in the roots, with at most 1 mm2 each. Fissures,
+    grooves and clefts between roots are not pulp cavities, because they are open along their
+    length.
 
     Attributes
     ----------
     tooth
         Voxels of the whole tooth in which the cavity was found.
     inside
-        Mask of the voxels of the cavity, a bool array with the same shape as the voxels of `tooth`.
+        Mask of the cavity, a bool array with the shape of the voxels of `tooth`.
     away_m
-        Distance [m] of each voxel from a region; same shape as the voxels of `tooth`. The centre of
-        a ball with a diameter of 0.8 mm can reach this region from outside the tooth.
+        Distance [m] of each voxel from the region that a ball's centre can reach from outside the
+        tooth. The ball has a diameter of 0.8 mm. The array has the shape of the voxels of `tooth`.
     """
 
     tooth: VoxelVolume
@@ -111,8 +112,8 @@ class PulpCavity:
     def voxels(self, volume: VoxelVolume) -> Flags:
         """Return a mask of the cavity in another voxel volume of the same tooth.
 
-        The voxels may have any size. The mask is a bool array with the same shape as the voxels of
-        `volume`.
+        The voxels of `volume` may have any size. The mask is a bool array with the shape of these
+        voxels.
         """
         index = np.nonzero(volume.fraction < FULL / 2)
         cavity = np.zeros(volume.shape, dtype=bool)
@@ -122,7 +123,7 @@ class PulpCavity:
         return cavity
 
     def holds(self, empty_m: Array) -> Flags:
-        """Return whether each of n points outside all layers lies in the cavity, shape (n,).
+        """Return flags, shape (n,), of the points outside all layers that lie in the cavity.
 
         The points [m] have the shape (3, n).
         """
@@ -140,16 +141,16 @@ class PulpCavity:
 
     @cached_property
     def _near(self) -> Flags:
-        """Mask of the voxels of the cavity and of their face neighbours."""
+        """Mask of the cavity's voxels and of their face neighbours."""
         from scipy.ndimage import binary_dilation
 
         return np.asarray(binary_dilation(self.inside))
 
 
 def with_pulp(volume: VoxelVolume, cavity: Flags) -> VoxelVolume:
-    """Fill the cavity of a volume with pulp.
+    """Fill the cavity of a tooth in voxels with pulp.
 
-    Partly filled voxels at the wall of the cavity keep their layers and become full.
+    Partly filled voxels at the wall of the cavity become full, and keep their layers.
     """
     from scipy.ndimage import binary_dilation
 
@@ -164,14 +165,14 @@ def with_pulp(volume: VoxelVolume, cavity: Flags) -> VoxelVolume:
 
 
 def _is_closed(piece: Flags, empty: Flags, neck: float, spacing_m: float) -> bool:
-    """Return whether the openings of a void are as small as foramina and lie in the roots.
+    """Return whether all openings of a void lie in the roots and are as small as foramina.
 
     Parameters
     ----------
     piece
         Mask of the void, with a margin of at least one voxel.
     empty
-        Mask of voxels without tissue, same shape.
+        Mask of voxels without tissue, same shape as `piece`.
     neck
         Index along z of the neck of the tooth. The crown lies above the neck.
     spacing_m

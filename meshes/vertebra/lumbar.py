@@ -2,7 +2,8 @@
 
 The vertebra has a body with endplates, pedicles, lamina, processes and a spinal canal.
 
-Sources: M = from memory of the literature, R = read, with confidence H, M or L. Values are for L4
+In the table, the first letter states the source: R was read, and M is from memory of the
+literature. The second letter is the confidence: high (H), medium (M) or low (L). Values are for L4
 unless stated otherwise.
 
 =============================  =============  ======================================================================
@@ -45,19 +46,19 @@ _TRANSVERSE_M = 21e-3
 _ISTHMUS_M = 4e-3
 """Distance [m] from the back wall of the body to the isthmus (narrowest part) of the pedicle."""
 _ENTRY_M = 19e-3
-"""Distance [m] from the back wall of the body to the entry behind the pedicle, along its axis.
+"""Distance [m] along the pedicle axis from the body's back wall to the drill's entry point.
 
-The distance includes pedicle and pars. It is an assumed value.
+The distance includes the pedicle and the pars interarticularis. The value is an assumption.
 """
 _REACH_M = 75e-3
-"""Half side of a box that contains the bone [m]. The default spinous process ends at 71 mm."""
+"""Half side [m] of a box that contains the bone. The default spinous process ends at 71 mm."""
 
 
 @dataclass(frozen=True)
 class _HalfSizes:
-    """Half of the vertebra's sizes [m], in the frame of the vertebral body.
+    """Sizes of a vertebra, divided by two [m]. Properties are points in the vertebral body's frame.
 
-    x points left, y back and z up. The origin is the centre of the body.
+    In this frame, x points left, y back and z up. The origin is the centre of the body.
     """
 
     width: float
@@ -71,14 +72,15 @@ class _HalfSizes:
 
     @property
     def canal_y(self) -> float:
-        """Distance by which the canal's centre lies behind the centre of the body [m]."""
+        """Distance [m] by which the canal's centre lies behind the centre of the vertebral body."""
         return self.depth + self.canal_depth
 
     @property
     def isthmus(self) -> Array:
-        """Middle of the narrowest part of the left pedicle [m].
+        """Middle [m] of the narrowest part of the left pedicle.
 
-        The point lies lateral to the canal, in the middle between the two cortices of the pedicle.
+        The point lies lateral to the spinal canal, in the middle between the pedicle's two
+        cortices.
         """
         return np.array(
             [
@@ -95,7 +97,7 @@ class _HalfSizes:
 
     @property
     def entry(self) -> Array:
-        """Point on the axis of the left pedicle behind the pedicle, near the entry [m]."""
+        """Entry point of a drill [m], on the axis of the left pedicle, near the surface."""
         return self.isthmus + (_ENTRY_M - _ISTHMUS_M) * self.axis
 
 
@@ -118,8 +120,7 @@ class VertebraSizes(Ranged):
     cortical_density_kg_m3
         Apparent density of the cortex [kg/m3].
     trabecular_density_kg_m3, pedicle_density_kg_m3
-        Apparent density of the trabecular bone in the body, and apparent density of the trabecular
-        bone in pedicle and arch [kg/m3].
+        Apparent densities [kg/m3] of trabecular bone: in the body, and in pedicle and arch.
     """
 
     body_width_mm: float = ranged(48.0, 36.0, 60.0)
@@ -242,7 +243,7 @@ def _bone(sizes: _HalfSizes) -> Shape:
 
 
 def _body(sizes: _HalfSizes, p: Floats) -> Floats:
-    """Compute the distance from the body, an elliptic column with a waist [m]."""
+    """Compute the distance [m] of points from the body, an elliptic column with a waist."""
     share = np.clip(p[:, 2] / sizes.height, -1.0, 1.0)
     narrowed = 1.0 - _WAIST * (1.0 - share**2)
     column = _ellipse(p[:, 0], p[:, 1], sizes.width * narrowed, sizes.depth * narrowed)
@@ -252,9 +253,9 @@ def _body(sizes: _HalfSizes, p: Floats) -> Floats:
 
 
 def _pedicles(sizes: _HalfSizes, p: Floats) -> Floats:
-    """Compute the distance [m] from elliptic columns along the two pedicle axes.
+    """Compute the distance [m] of points from elliptic columns along the two pedicle axes.
 
-    The columns extend from inside the body to the entry.
+    The columns extend from inside the vertebral body to the entry points behind the pedicles.
     """
     centre = sizes.isthmus.astype(p.dtype)
     axis = sizes.axis.astype(p.dtype)
@@ -271,7 +272,7 @@ def _pedicles(sizes: _HalfSizes, p: Floats) -> Floats:
 
 
 def _arch(sizes: _HalfSizes, p: Floats) -> Floats:
-    """Compute the distance [m] from the lamina.
+    """Compute the distance [m] of points from the lamina.
 
     The lamina is a wall around the canal behind the middle of the pedicles.
     """
@@ -292,12 +293,12 @@ def _canal(sizes: _HalfSizes) -> Shape:
 
 
 def _ellipse(x: Floats, y: Floats, a: float | Floats, b: float | Floats) -> Floats:
-    """Compute the signed distance from an ellipse with the half axes a and b [m].
+    """Compute the signed distance [m] of points from an ellipse with the half axes `a` and `b` [m].
 
-    The nearest point of the ellipse is computed in steps. Each step approximates the ellipse by its
-    circle of curvature at the last point (A. Nash, "Computing the distance between a point and an
-    ellipse"). The first point lies in the direction of 45 degrees. After three steps, the error is
-    1e-5 of the size of the ellipse.
+    The nearest point of the ellipse is computed in steps. Each step replaces the ellipse by the
+    circle of curvature at the last approximation (A. Nash, "Computing the distance between a point
+    and an ellipse"). The first approximation is the ellipse point in the direction of 45 degrees.
+    After three steps, the error is 1e-5 of the size of the ellipse.
     """
     px = np.abs(x)
     py = np.abs(y)
@@ -321,7 +322,8 @@ def _ellipse(x: Floats, y: Floats, a: float | Floats, b: float | Floats) -> Floa
 def _layers(sizes: _HalfSizes, given: VertebraSizes, turn: Array, origin: Array) -> Classify:
     """Return a function that computes the layer and density of points from their depths.
 
-    The body has a thin cortical shell and endplates. The other parts have a thicker cortex.
+    The body has a thin cortical shell and endplates. All other parts of the vertebra have a thicker
+    cortex.
     """
 
     cortex = 1e-3 * given.pedicle_cortex_mm

@@ -1,7 +1,8 @@
-"""Distances from voxel centres to the bone's surface and to boundaries between layers, in bytes.
+"""Distances from voxel centres to the bone's surface and to layer boundaries, stored as bytes.
 
-The distances are interpolated between voxel centres. The error of the surface's or boundary's
-position is therefore of second order in the spacing, and not of the size of a voxel.
+The distances are interpolated between voxel centres. The position error of the surface or boundary
+is therefore of second order in the spacing. Without interpolation, the error would be as large as a
+voxel.
 
 Distances to the nearest boundary are computed from a function that returns the layer at any point,
 or from the labels of the voxels. These distances are computed only for voxels at the corners of
@@ -25,14 +26,15 @@ _SMALLEST_COMPONENT = 1e-5  # see `cube_fraction`
 
 
 def cube_fraction(distance: Floats, normal: Floats) -> Array:
-    """Compute the volume of the part of a unit cube behind a plane, n·x <= -distance.
+    """Compute the volume of the part of a unit cube that lies behind a plane.
 
-    The centre of the cube is the origin. Let m = |n| / Σ|n| and a = 1/2 - distance / Σ|n|. The
-    number a is the height of the plane above the cube's lowest corner along n, divided by the
-    extent of the cube along n. The volume is Σ_S (-1)^|S| (a - Σ_{i∈S} m_i)₊³ / (6 m1 m2 m3),
-    summed over the subsets S of the three axes. The formula is inclusion-exclusion over the cube's
-    corners. It is equivalent to the formula of Scardovelli & Zaleski 2000, J. Comput. Phys.
-    164:228. Components of m below 1e-5 are set to 1e-5, which changes the volume by less than 2e-5.
+    The part is n·x <= -distance, where n is the plane's normal and the origin is the centre of the
+    cube. Let m = |n| / Σ|n| and a = 1/2 - distance / Σ|n|. Here, a is the height of the plane above
+    the cube's lowest corner along n, relative to the cube's extent along n. The volume is Σ_S
+    (-1)^|S| (a - Σ_{i∈S} m_i)₊³ / (6 m1 m2 m3), summed over the subsets S of the three axes. The
+    formula follows from inclusion-exclusion over the cube's corners. It is equivalent to the
+    formula of Scardovelli & Zaleski 2000, J. Comput. Phys. 164:228. Components of m below 1e-5 are
+    set to 1e-5, which changes the volume by less than 2e-5.
 
     Parameters
     ----------
@@ -61,15 +63,15 @@ def cube_fraction(distance: Floats, normal: Floats) -> Array:
 
 
 SURFACE_STEPS = 63
-"""Number of stored steps per voxel. Surface distances are stored up to two voxels."""
+"""Number of stored steps per voxel of distance. Surface distances are limited to two voxels."""
 SURFACE_ZERO = 128
 INSIDE = 2
 OUTSIDE = 254
-"""Stored values on the surface, two or more voxels inside it, and two or more voxels outside it."""
+"""Stored values for points on the surface, deep inside and far outside (two or more voxels)."""
 _BISECTIONS = 14
 """Number of bisection steps in the search for the distance of a plane.
 
-The remaining interval is 1e-4 voxels, which is small compared with a stored step of 0.016 voxels.
+The remaining interval of 1e-4 voxels is small compared with a stored step of 0.016 voxels.
 """
 # neighbours up to (2, 1, 0) away
 _OFFSETS = np.array([o for o in np.ndindex(5, 5, 5) if 0 < sum((k - 2) ** 2 for k in o) <= 5]) - 2
@@ -88,8 +90,8 @@ def near_the_surface(
     """Return surface distance, layer, density and boundary distance of a volume.
 
     The arrays have the shape of the volume. Layer and density are extended beyond the surface, as
-    far as the surface distance is known. The reason is that a point between the last voxel centre
-    inside the bone and the first voxel centre outside also needs a layer.
+    far as the surface distance is known. The extension is needed for points between the last voxel
+    centre in the bone and the first voxel centre outside.
     """
     surface = (
         volume.surface_distance
@@ -109,7 +111,7 @@ def carried_beyond(
 ) -> tuple[Bytes, NDArray[np.uint16], Flags]:
     """Extend layer and density of the outermost voxels beyond the surface.
 
-    Also return flags of the voxels with known layer and density.
+    Also return flags of the voxels whose layer and density are known after the extension.
     """
     layer = layer.copy()
     density = density.copy()
@@ -129,17 +131,17 @@ def carried_beyond(
 
 
 def surface_of_fractions(fraction: Bytes) -> Bytes:
-    """Compute the stored surface distance of voxels from their filled fractions.
+    """Compute the stored surface distance of voxels from the voxels' filled fractions.
 
     The result is uint8, shape (nx, ny, nz).
 
-    For each voxel that the surface crosses, or that is next to the surface, a plane is computed.
-    The plane is normal to the gradient of the fractions, and the part of the voxel behind the plane
-    is the filled fraction. The surface distance of a voxel is the weighted mean of the voxel's
-    distances from nearby planes. The space outside the array counts as empty. On a ball, the mean
-    distance is smaller than the true distance, and interpolation between voxel centres increases
-    the distance. Each of these two opposite biases is a twelfth of the sum of the principal
-    curvatures. In the interpolated surface, a quarter of such a bias remains.
+    For each voxel at or next to the surface, a plane is computed. The plane is normal to the
+    gradient of the fractions. The part of the voxel behind the plane is equal to the filled
+    fraction. The surface distance of a voxel is a weighted mean of the distances from the planes of
+    nearby voxels. The space outside the array counts as empty. On a ball, the mean is smaller than
+    the true distance, but interpolation between voxel centres increases the distance. These two
+    opposite biases are each a twelfth of the sum of the principal curvatures. In the interpolated
+    surface, a quarter of one bias remains.
     """
     from scipy.ndimage import binary_dilation, maximum_filter
 
@@ -181,7 +183,8 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
 def _plane_distance(share: Floats, normal: Floats) -> Array:
     """Compute the signed distance of the centre of each unit cube from a plane.
 
-    Each cube has its own plane, given by its normal and by the part `share` of the cube behind it.
+    Each cube has its own plane. The plane is given by `normal` and by `share`, the part of the cube
+    behind the plane.
     """
     half = 0.5 * np.abs(normal).sum(axis=1)
     low = -half
@@ -197,7 +200,7 @@ def _plane_distance(share: Floats, normal: Floats) -> Array:
 def _outward(fraction: Bytes, at: Ints) -> Array:
     """Return unit vectors opposite to the gradient of the fractions, shape (n, 3).
 
-    The gradient is computed in 3 x 3 x 3 voxels. If the gradient is zero, the vector points along
+    The gradient is computed from 3 x 3 x 3 voxels. If the gradient is zero, the vector points along
     z.
     """
     slope = np.zeros((len(at), 3))
@@ -212,34 +215,38 @@ def _outward(fraction: Bytes, at: Ints) -> Array:
 
 
 BOUNDARY_STEPS = 127
-"""Number of stored steps per voxel. Boundary distances are stored up to two voxels."""
+"""Number of stored steps per voxel of distance. Boundary distances are limited to two voxels."""
 FAR = 254
 """Stored distance of voxels that are far from every boundary between layers.
 
-Such a voxel is farther than two voxels from every boundary, or no cell with the voxel as a corner
-contains a boundary.
+The voxel is more than two voxels away from every boundary. The value is also used if none of the
+cells with the voxel as a corner contains a boundary.
 """
 _UNKNOWN = 255
 _PADDED = 2
-"""Width [voxel] of the border of unknown voxels, equal to the largest component of `_OFFSETS`."""
+"""Width [voxel] of the border that is added around arrays of layers.
+
+The width is the largest component of `_OFFSETS`.
+"""
 _AT_ONCE = 1 << 18
-"""Number of pairs of a voxel and a neighbour that are summed at once. The pairs take some MB."""
+"""Number of pairs (voxel, neighbour) that are summed at once. The pairs take a few MB."""
 _STRIDE = 0.5
 _HALVINGS = 5
-"""Step [voxel] of the search for a change of layer along a direction, and number of bisections.
+"""Step [voxel] of the search for a layer boundary along a direction, and number of bisections.
 
-The middle of the remaining interval has an error of up to 0.008 voxels, which is a stored step.
+The middle of the remaining interval has an error of up to 0.008 voxels. This is one step of the
+stored distance.
 """
 _DEVIATION = 1.25
-"""Standard deviation [voxel] of the smoothing from which distances are computed.
+"""Standard deviation [voxel] with which layer masks are smoothed to compute distances.
 
 With this value, the RMS error of the distance is 0.06 voxels on a plane, 0.08 voxels on a ball with
-a radius of 8 voxels, and 0.11 voxels on a block. With 2 instead of 1.25, the errors are 0.04, 0.06
-and 0.15 voxels, and a layer with a thickness of one voxel almost vanishes.
+a radius of 8 voxels, and 0.11 voxels on a block. With 2 instead of 1.25, these errors are 0.04,
+0.06 and 0.15 voxels, and a layer with a thickness of one voxel almost vanishes.
 """
 
 LayerAt = Callable[[Singles], Bytes]
-"""Function from points [voxel], shape (n, 3), to layers, shape (n,)."""
+"""Function from points [voxel], shape (n, 3), to layer indices, shape (n,)."""
 
 
 def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
@@ -247,8 +254,9 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
 
     The result has the shape (nx, ny, nz).
 
-    The direction to the boundary is computed from the voxels of other layers around a voxel. Along
-    this direction, the boundary is searched in steps of half a voxel, and then by bisection.
+    For each voxel, the direction to the boundary is computed from the surrounding voxels of other
+    layers. Along this direction, the boundary is searched in steps of half a voxel, then by
+    bisection.
 
     Parameters
     ----------
@@ -279,11 +287,11 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
 def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
     """Compute the stored distance to the nearest boundary between layers from the voxels' layers.
 
-    The mask of each layer is smoothed. The distance is the distance of a plane that gives the same
-    smoothed value, the share of the layer. The final distances keep each voxel's centre in the
-    voxel's layer, so no boundary is shifted by more than half a voxel. If most neighbours of a
-    voxel are in other layers, the distance is increased to up to half a voxel. A layer with a
-    thickness of one voxel therefore does not vanish.
+    The mask of each layer is smoothed. The smoothed value (share) at a voxel is converted to the
+    distance of the plane that would give this value. The distances are corrected such that each
+    voxel's centre stays in the voxel's layer. Boundaries are therefore shifted by at most half a
+    voxel. If most neighbours of a voxel are in other layers, the voxel's distance is increased to
+    up to half a voxel. A layer with a thickness of one voxel therefore does not vanish.
     """
     from scipy.ndimage import uniform_filter
 
@@ -309,7 +317,7 @@ def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
 
 
 def _codes(layer: Bytes, known: Flags) -> Bytes:
-    """Return an array of layers with a border around the array.
+    """Return the array of layers with a border added around it.
 
     The value is 255 in the border and in voxels whose layer is not known.
     """
@@ -317,9 +325,9 @@ def _codes(layer: Bytes, known: Flags) -> Bytes:
 
 
 def _stored(codes: Bytes, chosen: NDArray[np.intp], distance: Floats) -> Bytes:
-    """Convert distances [voxel] of the chosen voxels to stored bytes, without the border.
+    """Convert distances [voxel] of the chosen voxels to stored bytes, and remove the border.
 
-    All other voxels get the value `FAR`.
+    Voxels that are not chosen get the value `FAR`.
     """
     result = np.full(codes.shape, FAR, dtype=np.uint8)
     result.ravel()[chosen] = np.rint(np.minimum(BOUNDARY_STEPS * distance, FAR))
@@ -329,8 +337,8 @@ def _stored(codes: Bytes, chosen: NDArray[np.intp], distance: Floats) -> Bytes:
 def _in_mixed_cells(codes: Bytes) -> NDArray[np.intp]:
     """Return flat indices of the known voxels in cells with at least two layers.
 
-    A cell consists of 2 x 2 x 2 voxels. A cell counts if two face neighbours in the cell have
-    different known layers.
+    A cell consists of 2 x 2 x 2 voxels. A cell has at least two layers if two face neighbours in
+    the cell have different known layers.
     """
     flat = codes.ravel()
     steps = _strides(codes)
@@ -348,9 +356,9 @@ def _in_mixed_cells(codes: Bytes) -> NDArray[np.intp]:
 
 
 def _toward_others(codes: Bytes, at: NDArray[np.intp]) -> Singles:
-    """Compute the sum of weighted offsets to voxels of other known layers, shape (n, 3).
+    """Compute the sum, shape (n, 3), of weighted offsets to neighbours in other known layers.
 
-    The weights are integers, in units of 1/60. Their sums are exact in any order.
+    The weights are integer multiples of 1/60, so the sums are exact in any order.
     """
     flat = codes.ravel()
     shifts = (_OFFSETS @ _strides(codes))[:, None]
@@ -366,14 +374,14 @@ def _toward_others(codes: Bytes, at: NDArray[np.intp]) -> Singles:
 
 
 def _strides(array: Bytes) -> Ints:
-    """Return the index step in the flat array that corresponds to one step along each axis."""
+    """Return for each axis the step of the flat index that is one step along the axis."""
     return np.array([array.shape[1] * array.shape[2], array.shape[2], 1])
 
 
 def _distance(at: Ints, this: Bytes, direction: Singles, layer_at: LayerAt) -> Singles:
     """Compute the distance [voxel] from voxel centres to a change of layer along given directions.
 
-    The distance is at most 2, shape (n,).
+    The distances, shape (n,), are limited to 2.
     """
     centre = at.astype(np.float32) + np.float32(0.5)
     low, high = np.zeros((2, len(at)), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Smoothed masks of labels, and distances from planes that follow from their values."""
+"""Smoothing of label masks, and conversion of smoothed values (shares) to distances."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -6,9 +6,9 @@ from numpy.typing import ArrayLike
 from meshes.base.arrays import Array, Singles
 
 _FARTHEST = 1.0
-"""Distance from a plane [standard deviations] up to which the share changes monotonically.
+"""Distance [standard deviations] from a plane up to which a smoothed mask is monotonic.
 
-Up to this value, a distance can be computed from a share.
+Up to this distance, a distance from the plane can be computed from the smoothed value (share).
 """
 
 
@@ -17,16 +17,17 @@ def spread_labels(values: Singles, deviation_voxels: ArrayLike) -> Singles:
 
     Values outside the array are 0.
 
-    The kernel is a Gaussian minus its variance times its Laplacian. In a plane through its centre,
-    the second moment of the kernel is zero. To first order in the curvature, the smoothed value on
-    a curved surface is therefore one half, as on a plane.
+    The kernel is a Gaussian minus the product of the Gaussian's variance and the Gaussian's
+    Laplacian. In a plane through its centre, the second moment of the kernel is zero. On a plane
+    boundary of the mask, the smoothed value is one half. On a curved boundary, the smoothed value
+    is therefore also one half, to first order in the curvature.
 
     Parameters
     ----------
     values
-        Shape (nx, ny, nz).
+        Mask, shape (nx, ny, nz).
     deviation_voxels
-        Standard deviation along each axis [voxel], one number or shape (3,).
+        Standard deviation [voxel], one number or one for each axis, shape (3,).
     """
     from scipy.ndimage import correlate1d, gaussian_filter
 
@@ -42,7 +43,8 @@ def spread_labels(values: Singles, deviation_voxels: ArrayLike) -> Singles:
 def depth_of_share(share: Singles) -> Array:
     """Return the depth behind a plane at which a smoothed mask has the value `share`.
 
-    The unit is the standard deviation of the smoothing. The depth is limited to -1 and 1.
+    The unit of the depth is the standard deviation of the smoothing. The depth is limited to the
+    range -1 to 1.
     """
     from scipy.special import ndtr
 

@@ -1,13 +1,12 @@
-"""Bone fraction and depth of voxels under a triangle surface.
+"""Bone fraction and depth of voxels inside a closed triangle surface.
 
 The bone fraction is computed from 3 x 3 lines along z in each voxel column. The winding number
-along a line changes where the line crosses triangles. The parts of a line with a positive winding
-number are bone. The fraction is exact along z. Across z, the fraction is a quadrature with nine
-lines. For the depth, the distance to the surface is computed on a lattice with a spacing of 0.4 mm
-or one voxel, and interpolated to the voxels.
+along a line changes where the line crosses triangles, and the parts of a line with a positive
+winding number are bone. The integral of the fraction along z is therefore exact. In the x-y plane,
+the integral is approximated by nine lines. The depth is the distance from the surface. It is
+computed on a lattice with a spacing of 0.4 mm or one voxel, and interpolated to the voxels.
 
-Crossings of vertical lines with triangles also determine whether scattered points lie inside a
-surface.
+The same crossings determine whether scattered points lie inside a surface.
 """
 
 from collections.abc import Callable, Iterator
@@ -20,12 +19,12 @@ from meshes.base.arrays import Array, Flags, Floats, Ints, Singles, compact
 from meshes.base.grid import Grid
 
 _PAIRS_AT_ONCE = 2_000_000
-"""Number of pairs of triangle and line that are tested at once, in a dozen arrays of 16 MB."""
+"""Number of pairs (triangle, line) that are tested at once, in a dozen arrays of 16 MB."""
 
 
 @dataclass(frozen=True, eq=False)
 class ColumnCrossings:
-    """Heights at which vertical lines enter and leave the solid, sorted by line and height.
+    """Heights at which vertical lines enter and leave a solid, sorted by line and height.
 
     Attributes
     ----------
@@ -45,18 +44,19 @@ class ColumnCrossings:
 def column_crossings(vertices: Array, faces: Ints, x: Array, y: Array) -> ColumnCrossings:
     """Compute the crossings of the vertical lines through each (x, y) with a solid.
 
-    Only crossings at which the winding number becomes positive, or stops being positive, are
-    returned.
+    The returned crossings are those at which the winding number becomes positive or stops being
+    positive.
 
-    The test of an edge uses the same arithmetic for the two triangles that share the edge. A line
-    near the edge therefore passes through exactly one of the two triangles.
+    The test whether a line passes an edge uses the same arithmetic for both triangles at the edge.
+    A line near the edge therefore crosses exactly one of the two triangles.
 
     Parameters
     ----------
     vertices, faces
         Vertices [m], shape (n, 3), and triangles with outward normals, shape (m, 3).
     x, y
-        Positions of the lines [m], evenly spaced, ascending. Line i·len(y) + j is at (x[i], y[j]).
+        Positions of the lines [m], each array evenly spaced and ascending. Line i·len(y) + j is at
+        (x[i], y[j]).
     """
     found = []
     for axis, at in enumerate((x, y) if len(x) and len(y) else ()):
@@ -76,7 +76,7 @@ def column_crossings(vertices: Array, faces: Ints, x: Array, y: Array) -> Column
 
 
 def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
-    """Return whether points [m], shape (n, 3), lie where the winding number is positive.
+    """Return flags of the points [m], shape (n, 3), at which the winding number is positive.
 
     Each point is tested with the vertical line through the point. Triangles are sorted into square
     columns, so a point is only tested against the triangles of its column.
@@ -116,9 +116,9 @@ def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
 
 
 def _batches(pairs: Ints) -> Iterator[slice]:
-    """Yield slices of consecutive entries, each with about `_PAIRS_AT_ONCE` pairs in total.
+    """Yield slices of consecutive entries such that each slice has about `_PAIRS_AT_ONCE` pairs.
 
-    `pairs` is the number of pairs of each entry.
+    `pairs` contains the number of pairs of each entry.
     """
     ends = np.cumsum(pairs)
     start = 0
@@ -130,13 +130,13 @@ def _batches(pairs: Ints) -> Iterator[slice]:
 
 
 def _repeated(counts: Ints) -> tuple[Ints, Ints]:
-    """Repeat each index k `counts[k]` times. Also number the repetitions of each index from 0."""
+    """Repeat each index k `counts[k]` times, and number the repetitions of each index from 0."""
     owner = np.repeat(np.arange(len(counts)), counts)
     return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def _by_column(corners: Array, low: Array, edge: Array, count: int) -> tuple[Ints, Ints]:
-    """Return the triangles whose box overlaps a column, for each of count x count columns.
+    """Return the triangles whose bounding box overlaps each of count x count columns.
 
     The triangles are sorted by column. Also return the index at which each column starts.
     """
@@ -161,9 +161,9 @@ def triangles_meeting(vertices: Array, faces: Ints, axis: int, low: float, high:
 
 
 def _covered(corners: Array, x: Array, y: Array) -> tuple[Ints, Ints]:
-    """Return the first line and the number of lines in each triangle's box, along x and along y.
+    """Return the first line and the number of lines in each triangle's bounding box.
 
-    Each result has the shape (m, 2).
+    Both arrays have the shape (m, 2), with one column for x and one for y.
     """
     boxes = [lowest_and_highest(*corners[:, :, k].T) for k in range(2)]
     first = [np.searchsorted(axis, low) for axis, (low, _) in zip((x, y), boxes, strict=True)]
@@ -190,9 +190,9 @@ def _crossed(
     x: Array,
     y: Array,
 ) -> tuple[Ints, Array, Ints]:
-    """Return line, height and sign (+1 entering) of each crossing of triangles and lines.
+    """Return line index, height and sign (+1 entering) of each crossing of a line and a triangle.
 
-    A triangle is only tested with the lines in its box.
+    A triangle is only tested with the lines in its bounding box.
     """
     triangle, within = _repeated(counts[:, 0] * counts[:, 1])
     i = first[triangle, 0] + within // counts[triangle, 1]
@@ -208,7 +208,7 @@ def _met(
     px: Array,
     py: Array,
 ) -> tuple[Flags, Array, Ints]:
-    """Return flags of the vertical lines through (px, py) that cross their triangle.
+    """Return flags of the vertical lines through (px, py) that cross the paired triangle.
 
     Also return the height and the sign (+1 entering) of the crossings.
     """
@@ -263,35 +263,35 @@ def _turning(line: Ints, height: Array, sign: Ints) -> ColumnCrossings:
 
 
 _LINES = 3
-"""Number of lines through a voxel along x and along y."""
+"""Number of lines through a voxel per axis x and y, that is, 3 x 3 lines."""
 _WIDEST_LATTICE_M = 0.41e-3
-"""Largest spacing [m] of the lattice for the depth, 0.4 mm plus 0.01 mm for rounding errors."""
+"""Largest spacing [m] of the lattice for the depth: 0.4 mm, plus 0.01 mm for rounding errors."""
 _CELLS_BEYOND = 4
-"""Number of lattice cells by which the range of triangles extends beyond the depth threshold.
+"""Number of lattice cells beyond the depth threshold from which triangles are considered.
 
-The depth near the threshold is therefore correct.
+With this margin, the depth near the threshold is correct.
 """
 _OFFSET = np.array([0.0137, 0.0071])
-"""Shift of the lines, relative to the distance between them.
+"""Shift of the lines along x and y, relative to the distance between lines.
 
-With this shift, the edges of boxes and symmetric meshes do not lie on a line.
+With this shift, no edge of a box or of a symmetric mesh lies on a line.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class TriangleSampler:
-    """Function that computes fraction and depth of a grid's voxels inside a closed surface.
+    """Function object that computes bone fraction and depth of voxels inside a closed surface.
 
     Attributes
     ----------
     vertices_m
-        Vertices in the frame of the grid [m], shape (n, 3).
+        Vertices [m], shape (n, 3), in the frame of the grid.
     faces
         Triangles with outward normals, shape (m, 3).
     threshold_m
-        Depth [m] that decides the layer of a voxel. In lattice cells that lie completely above or
-        below this depth, the computed depth may be inaccurate, but it is on the correct side of the
-        threshold. Infinite: the depth is accurate everywhere.
+        Depth [m] at which the layer of a voxel changes. In lattice cells that lie completely above
+        or below this depth, the computed depth may be inaccurate, but is on the correct side of the
+        threshold. If infinite, the depth is accurate everywhere.
     """
 
     vertices_m: Array
@@ -300,16 +300,16 @@ class TriangleSampler:
 
     @cached_property
     def _along_x(self) -> tuple[Array, Array]:
-        """Lowest and highest x of each triangle [m], shape (m,).
+        """Lowest and highest x [m], shape (m,), of each triangle.
 
         These values select the triangles near a grid, because grids are slabs along x.
         """
         return lowest_and_highest(*np.ascontiguousarray(self.vertices_m[:, 0])[self.faces].T)
 
     def _within(self, grid: Grid, margin: float, axes: int) -> Ints:
-        """Return the triangles whose box overlaps the grid's box along the first `axes` axes.
+        """Return the triangles whose bounding box overlaps the grid along the first `axes` axes.
 
-        The grid's box is extended by a margin [m].
+        The grid is extended by a margin [m] for this test.
         """
         low = np.array(grid.first) * grid.spacing_m - margin
         high = np.array(grid.last) * grid.spacing_m + margin
@@ -319,12 +319,13 @@ class TriangleSampler:
         return faces
 
     def __call__(self, grid: Grid) -> tuple[Singles, Singles]:
-        """Compute bone fraction, 0 to 1, and depth [m], positive inside.
+        """Compute the bone fraction, 0 to 1, and the depth [m] of the voxels of a grid.
 
-        The two arrays are float32 and have the shape of `grid`, which consists of whole blocks.
+        The depth is positive inside the surface. The two arrays are float32 and have the shape of
+        `grid`, which must consist of whole blocks.
 
-        The depth is computed only in lattice cells with bone. In other cells, the depth has no
-        meaning.
+        The depth is computed only in lattice cells with bone. In lattice cells without bone, the
+        depth has no meaning.
         """
         fraction = self._fraction(grid)
         return fraction, self._depth(grid, fraction)
@@ -387,10 +388,10 @@ class TriangleSampler:
 def _beyond(vertices: Array, faces: Ints, points: Floats, threshold: float) -> tuple[Flags, Flags]:
     """Flag the points that are certainly farther from the triangles than a threshold [m].
 
-    Also flag the points that are certainly nearer. Points have the shape (n, 3).
+    Also flag the points that are certainly nearer. `points` has the shape (n, 3).
 
-    The distance of a point of a triangle from the nearest corner is at most the longest side
-    divided by the square root of three (Jung).
+    The test only uses the distances from corners of triangles. Any point of a triangle has a corner
+    within the longest side divided by the square root of three (Jung's theorem).
     """
     from scipy.spatial import cKDTree
 
@@ -417,7 +418,7 @@ def _whole_cells(points: Flags) -> Flags:
 
 
 def triangle_distance(vertices: Array, faces: Ints, points: Floats) -> Array:
-    """Compute the signed distance [m] of points from the surface, negative inside, shape (n,).
+    """Compute the signed distance [m], shape (n,), of points from the surface, negative inside.
 
     The points [m] have the shape (n, 3).
     """
@@ -425,7 +426,7 @@ def triangle_distance(vertices: Array, faces: Ints, points: Floats) -> Array:
 
 
 def surface_distance(vertices: Array, faces: Ints) -> Callable[[Floats], Array]:
-    """Return the function `triangle_distance` of one surface, which takes only the points.
+    """Return a function that computes `triangle_distance` for points and a fixed surface.
 
     Repeated calls are fast, because the triangles are sorted only once.
     """
@@ -447,7 +448,7 @@ def surface_distance(vertices: Array, faces: Ints) -> Callable[[Floats], Array]:
 
 
 def nearest_on_triangles(vertices: Array, faces: Ints, points: Array) -> Array:
-    """Return the point of the surface nearest to each point [m], shape (n, 3)."""
+    """Return the nearest surface point [m], shape (n, 3), to each point [m]."""
     import pyvista
 
     if len(points) == 0:

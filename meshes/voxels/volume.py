@@ -1,4 +1,4 @@
-"""Bone as voxels with fraction, layer and density."""
+"""Class for bone in voxels, each with bone fraction, layer and density."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from meshes.base.placement import Placement
 DENSEST_KG_M3 = 2e4
 """Largest accepted density [kg/m3], the density of the densest implant metals.
 
-A larger value indicates that the densities have another unit.
+A larger value indicates that the densities are in another unit.
 """
 FULL = 255
 """Stored fraction of a voxel that is completely bone."""
@@ -27,13 +27,14 @@ class VoxelVolume:
     Attributes
     ----------
     origin_m
-        Corner with the lowest coordinates [m] of voxel (0, 0, 0), shape (3,), float64.
+        Corner of voxel (0, 0, 0) with the lowest coordinates [m], shape (3,), float64.
     spacing_m
         Edge of a voxel [m].
     fraction
         Bone fraction of the voxel, 255 = full, uint8, shape (nx, ny, nz).
     layer
-        Index into `layer_names`, uint8, shape (nx, ny, nz). It has no meaning if `fraction` is 0.
+        Index into `layer_names`, uint8, shape (nx, ny, nz). The index has no meaning in a voxel
+        with a bone fraction of 0.
     density_kg_m3
         Apparent density of the bone in the voxel [kg/m3], uint16, shape (nx, ny, nz).
     layer_names
@@ -41,9 +42,9 @@ class VoxelVolume:
     placement
         Placement of the volume's frame in the frame of the bone's file. None without a file.
     surface_distance
-        Signed distance from each voxel's centre to the bone's surface, see
-        `meshes.voxels.distances`, uint8, shape (nx, ny, nz). If None, this distance is computed
-        from the fractions when needed.
+        Signed distance from each voxel's centre to the bone's surface, uint8, shape (nx, ny, nz).
+        For the encoding, see `meshes.voxels.distances`. If None, this distance is computed from the
+        fractions when needed.
     layer_distance
         Distance from each voxel's centre to the nearest boundary between layers, uint8, shape (nx,
         ny, nz). If None, this distance is computed from the layers when needed.
@@ -95,12 +96,12 @@ class VoxelVolume:
 
     @property
     def bounds_m(self) -> tuple[Array, Array]:
-        """Corners of the block with the lowest and the highest coordinates [m], each shape (3,)."""
+        """Corners [m] of the voxel block: lowest and highest coordinates, each shape (3,)."""
         return self.origin_m, self.origin_m + self.spacing_m * np.array(self.shape)
 
     @property
     def bone_bounds_m(self) -> tuple[Array, Array]:
-        """Corners of a box around the bone, with the lowest and the highest coordinates [m]."""
+        """Corners [m] of a box around the bone: lowest and highest coordinates, each shape (3,)."""
         box = box_of(self.fraction > 0)
         low = np.array([side.start for side in box])
         high = np.array([side.stop for side in box])
@@ -156,7 +157,7 @@ def density_volume(
     layer_names: tuple[str, ...] = ("bone",),
     margin: int = 0,
 ) -> VoxelVolume:
-    """Make a voxel volume from densities. A voxel with a density above 0 is completely bone.
+    """Make a voxel volume from densities. Voxels with a density above 0 are completely bone.
 
     Parameters
     ----------
@@ -165,15 +166,15 @@ def density_volume(
     spacing_mm
         Edge of a voxel [mm].
     origin_mm
-        Corner with the lowest coordinates [mm] of voxel (0, 0, 0).
+        Corner of voxel (0, 0, 0) with the lowest coordinates [mm].
     layer
         Layer index of each voxel, same shape. Default: 0 for all voxels.
     layer_names
         Name of each layer.
     margin
-        Number of empty voxels that are added on each side. The surface is interpolated between the
-        voxels on both sides of the surface. With 0, the force on a cutter is therefore up to 3 %
-        too low where bone extends to the edge of the array.
+        Number of empty voxels that are added on each side. With 0, the force on a cutter is up to 3
+        % too low where bone extends to the edge of the array. The reason is that the bone's surface
+        is interpolated between voxels on its two sides, and there are no voxels outside the array.
 
     Raises
     ------

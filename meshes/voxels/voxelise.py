@@ -5,8 +5,8 @@ Each voxel has a sub-voxel bone fraction, a layer and a density.
 A signed distance is first evaluated at the centres of blocks of 8 x 8 x 8 voxels. If the centre of
 a block is farther from the surface than half the block's diagonal, the block is completely empty or
 solid, because a signed distance is 1-Lipschitz. Only blocks that the surface may cross are
-evaluated voxel by voxel. In solid blocks, the density is interpolated trilinearly between the
-corners if all corners of the block and of its neighbours have the same layer.
+evaluated voxel by voxel. In a solid block, the density is interpolated trilinearly between the
+corners, if all corners of this block and of the neighbouring blocks have the same layer.
 """
 
 from __future__ import annotations
@@ -40,30 +40,31 @@ from meshes.voxels.volume import FULL, VoxelVolume
 _BLOCKS_AT_ONCE = 256
 """Number of blocks evaluated at once.
 
-The coordinates of 131,072 voxels, 1.5 MB, fit in the cache.
+The coordinates of the 131,072 voxels in these blocks take 1.5 MB, which fits in the processor's
+cache.
 """
 _WIDEST_INTERPOLATION_M = 1.0e-3
 """Largest edge [m] of a block in which the density is interpolated.
 
-Densities vary smoothly over a millimetre.
+Within a layer, densities vary smoothly over a millimetre.
 """
 _HALF_DIAGONAL = 0.5 * math.sqrt(3.0)
 _SHARP_BEND = 0.1
-"""Change of slope within a voxel above which the distance counts as creased.
+"""Change of the distance's slope in a voxel above which the voxel is treated as creased.
 
-With the values 0.03 and 0.1, the volume of a block with sharp edges is 0.04 % too large. With 0.3,
-it is 0.08 % too large. With 1, it is 0.17 % too large.
+A crease is an edge or corner of the solid. With the values 0.03 and 0.1, the volume of a block with
+sharp edges is 0.04 % too large. With 0.3, the volume is 0.08 % too large, and with 1, 0.17 %.
 """
 _PARTS = 4
-"""Number of parts along the edge of a voxel with a crease.
+"""Number of parts into which an edge of a voxel with a crease is divided.
 
-The volume error of a block with sharp edges is 0.07 % with 2 parts, and 0.04 % with 8 parts.
+For a block with sharp edges, the volume error is 0.07 % with 2 parts, and 0.04 % with 8 parts.
 """
 _LOCAL = lattice(*[np.arange(BLOCK)] * 3)
 
 
 class VoxelArrays(NamedTuple):
-    """Arrays of a `VoxelVolume` on a grid of whole blocks, while the arrays are filled.
+    """Arrays of a future `VoxelVolume` while they are filled, on a grid of whole blocks.
 
     All arrays have the shape of the grid.
     """
@@ -80,7 +81,7 @@ class VoxelArrays(NamedTuple):
         return cls(bytes_, np.zeros_like(bytes_), words, np.full(shape, OUTSIDE, np.uint8))
 
     def slab(self, start: int, stop: int) -> VoxelArrays:
-        """Return views of the part of the arrays with the x indices `start` to `stop` - 1."""
+        """Return views of the arrays for the x indices `start` to `stop` - 1."""
         return VoxelArrays._make(each[start:stop] for each in self)
 
 
@@ -92,7 +93,7 @@ def voxel_fraction(
     *,
     split_creases: bool = True,
 ) -> Singles:
-    """Compute the fraction of each voxel inside a shape, with a plane as the surface in a voxel.
+    """Compute the fraction of each voxel inside a shape, with the surface as a plane per voxel.
 
     If the distance has a crease within a voxel (an edge or corner), the voxel is divided into 4 x 4
     x 4 parts, each with its own plane.
@@ -102,7 +103,7 @@ def voxel_fraction(
     centres
         Voxel centres [m], shape (n, 3).
     distance
-        Signed distance of the shape at the centres [m], shape (n,).
+        Signed distance [m], shape (n,), of the centres from the shape's surface.
     spacing_m
         Edge of a voxel [m].
 
@@ -144,7 +145,7 @@ def voxel_fraction(
 
 
 def _split_fraction(shape: Shape, centres: Singles, spacing_m: float) -> Singles:
-    """Compute the fraction of each voxel inside a shape from 4 x 4 x 4 parts, shape (n,)."""
+    """Compute the fraction, shape (n,), of each voxel inside a shape from 4 x 4 x 4 parts."""
     offsets = ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5).astype(np.float32) * np.float32(spacing_m)
     local = lattice(offsets, offsets, offsets)
     points = np.asfortranarray((centres[:, None, :] + local).reshape(-1, 3))
@@ -189,12 +190,15 @@ def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
 
 
 def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, Bytes, Floats]:
-    """Find the blocks for which all corners of the block and of its neighbours have the same layer.
+    """Find the blocks that lie, with their neighbours, in one layer.
+
+    A block is flagged if all corners of the block and of the neighbouring blocks have the same
+    layer.
 
     Returns
     -------
-    Flags and layers of the blocks, shape (bx, by, bz); densities at the corners of the blocks
-    [kg/m3], shape (bx + 1, by + 1, bz + 1).
+    Flags and layers of the blocks, shape (bx, by, bz); densities [kg/m3] at the corners of the
+    blocks, shape (bx + 1, by + 1, bz + 1).
     """
     axes = [
         np.arange(f - BLOCK, e + BLOCK + 1, BLOCK)
@@ -211,16 +215,16 @@ def _uniform_blocks(anatomy: Anatomy, grid: Grid) -> tuple[Flags, Bytes, Floats]
 
 
 def _over_windows(combine: np.ufunc, values: Bytes) -> Bytes:
-    """Combine the values in each window of 4 x 4 x 4 lattice points.
+    """Combine the values in each window of 4 x 4 x 4 lattice points by a function such as minimum.
 
-    A window contains the corners of a block and of its neighbours.
+    A window contains the corners of a block and of the neighbouring blocks.
     """
     windows = np.lib.stride_tricks.sliding_window_view(values, (4, 4, 4))
     return np.asarray(combine.reduce(windows, axis=(3, 4, 5)), dtype=np.uint8)
 
 
 def _interpolated(corners: Floats, chosen: Flags) -> Singles:
-    """Interpolate trilinearly to the voxel centres of the chosen blocks, shape (n, 8, 8, 8)."""
+    """Interpolate corner values trilinearly to the voxels of chosen blocks, shape (n, 8, 8, 8)."""
     bx, by, bz = np.nonzero(chosen)
     values = np.empty((len(bx), 2, 2, 2), dtype=np.float32)
     for i, j, k in np.ndindex(2, 2, 2):
@@ -234,15 +238,15 @@ def _interpolated(corners: Floats, chosen: Flags) -> Singles:
 
 
 def centres_of(index: Ints, spacing_m: float, shift: float) -> Singles:
-    """Return the coordinates [m] of voxel indices, shifted by `shift` spacings.
+    """Return the coordinates [m], shape (n, 3), of voxel indices, shifted by `shift` spacings.
 
-    The coordinates are float32, shape (n, 3), stored in column order.
+    The array is float32 and stored in column order.
     """
     return (index.T.astype(np.float32) + np.float32(shift)).T * np.float32(spacing_m)
 
 
 def _by_blocks(array: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return a view of an array of whole blocks, with the shape (bx, by, bz, 8, 8, 8)."""
+    """Return a view, shape (bx, by, bz, 8, 8, 8), of an array that consists of whole blocks."""
     nx, ny, nz = (n // BLOCK for n in array.shape)
     return array.reshape(nx, BLOCK, ny, BLOCK, nz, BLOCK).transpose(0, 2, 4, 1, 3, 5)
 
@@ -254,9 +258,12 @@ AROUND_VOXELS = 2
 _ROUNDING = 1e-6
 """Largest distance [voxel] of a corner from a grid line that counts as a rounding error."""
 _MAXIMUM_THREADS = 4
-"""Largest number of threads. Each thread stores the points and distances of a slab."""
+"""Largest number of threads. It limits memory, because each thread stores points and distances."""
 _SAMPLED_BLOCKS = 4
-"""Number of blocks along x that are sampled at once, because each call searches all triangles."""
+"""Number of blocks along x per call of a sampler.
+
+More than one block is sampled at once, because each call searches all triangles.
+"""
 
 
 def voxelise(
@@ -267,11 +274,11 @@ def voxelise(
     minus: Shape | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> VoxelVolume:
-    """Convert an anatomy to voxels, in its site frame.
+    """Convert an anatomy to voxels in the site frame.
 
     Grid lines lie at integer multiples of the spacing, so the content of a voxel does not depend on
-    the region. The fraction of a voxel that the surface crosses is the part of its cube behind the
-    surface's tangent plane. The error of the volume is of second order in the spacing. In voxels in
+    the region. If the surface crosses a voxel, the bone fraction is the part of the voxel behind
+    the surface's tangent plane. The volume error is of second order in the spacing. In voxels in
     which two surfaces cross, the error is of first order.
 
     Parameters
@@ -283,7 +290,7 @@ def voxelise(
     region_m
         Corners [m] of the region with the lowest and the highest coordinates. The region is
         extended to whole voxels. If None, the grid covers the anatomy's bounding box and a margin
-        of two voxels, in which the surface distance is also stored.
+        of two voxels. The surface distance is also stored in the margin.
     minus
         Solid in the site frame that is subtracted with sub-voxel accuracy, such as a pilot hole.
         The subtraction does not change the layers.
@@ -346,7 +353,8 @@ def voxelise(
 def _layer_at(anatomy: Anatomy, grid: Grid, depth: Singles) -> LayerAt:
     """Return a function that gives the anatomy's layer at points in voxel coordinates.
 
-    If the anatomy has a sampler, depths are interpolated from the sampled depth.
+    If the anatomy has a sampler, the depth of a point is interpolated from the sampled array
+    `depth`.
     """
     first = np.array(grid.first, dtype=np.float32)
     spacing = np.float32(grid.spacing_m)
@@ -368,7 +376,7 @@ def _layer_at(anatomy: Anatomy, grid: Grid, depth: Singles) -> LayerAt:
 
 
 def _grid(anatomy: Anatomy, spacing: float, region_m: Region | None) -> Grid:
-    """Build the grid for the region, or for the anatomy's bounding box with a margin.
+    """Build the grid for the region or, without a region, for the anatomy's box with a margin.
 
     The grid lines lie at integer multiples of the spacing.
     """
@@ -409,9 +417,9 @@ def _corners(region_m: Region) -> tuple[Array, Array]:
 def _fill_from_samples(
     anatomy: Anatomy, sample: GridSampler, grid: Grid, out: VoxelArrays
 ) -> Singles:
-    """Fill `out` from an anatomy that computes fraction and depth for a whole grid.
+    """Fill `out` by the function `sample`, which computes fraction and depth for a whole grid.
 
-    Return the depth [m].
+    Return the depth [m] of each voxel.
     """
     fraction, depth = sample(grid)
     out.fraction[...] = np.rint(fraction * FULL)
