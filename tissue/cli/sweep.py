@@ -49,8 +49,8 @@ def sweep(
     pictures
         Draw the pictures of each run.
     format_
-        Format of the pictures, png, svg or pdf, or of one table with the traces of all runs,
-        parquet, npz, mat or h5; may be repeated.
+        Format of the pictures: png, svg or pdf; default png. Or format of one table with the traces
+        of all runs: parquet, npz, mat or h5. May be repeated.
     band
         Number of samples of the material constants in their published ranges, such as 200. If it is
         given, each run has uncertainty bands of 50 and 90 %.
