@@ -39,8 +39,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NAME = re.compile("[a-z0-9][a-z0-9_]*")
-"""Pattern of a valid name of a structure that the tool must not touch.
-"""
+"""Pattern of a valid name of a structure that the tool must not touch."""
 
 
 @dataclass(frozen=True, eq=False)

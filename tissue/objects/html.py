@@ -84,8 +84,7 @@ BANDED = {
     "peak_torque_Nm": ("torque_Nm", "peak"),
     "mean_torque_Nm": ("torque_Nm", "mean_in_contact"),
 }
-"""Pairs (load, statistic) that locate values in a summary and in its band, keyed by value name.
-"""
+"""Pairs (load, statistic) that locate values in a summary and in its band, keyed by value name."""
 
 
 def figures_of_trace(trace: Table) -> dict[str, float]:

@@ -337,8 +337,7 @@ def region(start_m: Array, axis: Array, reach_m: float) -> Region:
 
 
 def start_above(tissue: Bone | Organ, axis: Array) -> Array:
-    """Return the default start position of a tip above the middle of a bone or an organ [mm].
-    """
+    """Return the default start position of a tip above the middle of a bone or an organ [mm]."""
     surface = tissue.surface()
     low, high = np.array(surface.bounds).reshape(3, 2).T
     middle = 0.5 * (low + high)

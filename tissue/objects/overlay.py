@@ -279,8 +279,7 @@ def _at(places: Array, known: Array, vectors: Array) -> Array:
 
 
 def _colour(number: int, count: int) -> object:
-    """Return the colour of a curve: from a list for few curves, else from a colour map.
-    """
+    """Return the colour of a curve: from a list for few curves, else from a colour map."""
     if count <= len(COLOURS):
         return COLOURS[number]
     from matplotlib import colormaps

@@ -82,8 +82,7 @@ def check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
 
 
 def check_parameters(kind: str, given: str, part: Any) -> None:
-    """Raise an error unless a class is a subclass of `Part` with the given name as `kind`.
-    """
+    """Raise an error unless a class is a subclass of `Part` with the given name as `kind`."""
     from tissue.scene.anatomy import Part
     from tissue.scene.part import kinds_of
 

@@ -24,8 +24,7 @@ PANEL_IN = 2.3
 BAR: dict[str, Any] = {"linewidth": 5.0, "alpha": 0.3}
 """Matplotlib style of a bar for a 90 % interval."""
 Point = tuple[object, Mapping[str, float], Mapping[str, tuple[float, float]]]
-"""Swept value of a run, its summary values, and 90 % intervals of some of these values.
-"""
+"""Swept value of a run, its summary values, and 90 % intervals of some of these values."""
 
 
 @styled
@@ -187,7 +186,6 @@ def plot_figures(
 
 
 def _place_of(value: Any) -> float | str:
-    """Return a swept value as a number, or as text if it is not a number.
-    """
+    """Return a swept value as a number, or as text if it is not a number."""
     is_number = isinstance(value, float | int) and not isinstance(value, bool)
     return value if is_number else str(value)

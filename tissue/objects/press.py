@@ -32,16 +32,14 @@ if TYPE_CHECKING:
     from tissue.models.organ.soft_organ import SoftOrgan
 
 SLOPE_SHARE = 0.1
-"""Last share of the depth, over which the stiffness is computed: 10 of 100 steps.
-"""
+"""Last share of the depth, over which the stiffness is computed: 10 of 100 steps."""
 FAR = 0.1
 """Largest accepted ratio of a point's distance from the surface to the organ's longest side.
 
 A point farther away is treated as a mistake, for example in the unit. The value is chosen.
 """
 NEAR_M = 1e-4
-"""Distance from the surface below which a point counts as a point of the surface [m].
-"""
+"""Distance from the surface below which a point counts as a point of the surface [m]."""
 TOOL_EDGES = 4.0
 """Recommended number of mesh edges across the diameter of the tool; also the default in scenes."""
 FALLS = 0.05
@@ -61,8 +59,7 @@ The nodes that can get into contact are searched with a margin around each posit
 positions need not be close together. The number is not measured but chosen.
 """
 LAW_INTERVAL_S = 0.025
-"""Time between two solutions of the hyperelastic deformation in a loop [s].
-"""
+"""Time between two solutions of the hyperelastic deformation in a loop [s]."""
 TOOL = (0.45, 0.48, 0.52)
 COLOURS = "YlOrRd"
 """Colour map of the displacement; small displacements are light."""

@@ -310,8 +310,7 @@ class register:
 
     @staticmethod
     def scene(file: str | Path) -> str:
-        """Register the scene in a TOML file under the name that the file states.
-        """
+        """Register the scene in a TOML file under the name that the file states."""
         path = Path(file).resolve()
         name = _scene_name(path)
         SCENES.add(name, path)
@@ -340,8 +339,7 @@ def _added(
 SOFT = ("modulus_kPa", "poisson_ratio", "density_kg_m3")
 """Constants that every material of a soft organ must have."""
 CAPSULE = "_capsule"
-"""Suffix of the names of capsules, which are membranes on organs and no materials of organs.
-"""
+"""Suffix of the names of capsules, which are membranes on organs and no materials of organs."""
 
 
 def _scene_name(path: Path) -> str:

@@ -137,8 +137,7 @@ def simulate_live(
 
 
 def _with_fidelity(scene: Scene, report: Progress) -> tuple[Scene, dict[str, str]]:
-    """Return the scene with settings that meet its fidelity requirement, and notes on them.
-    """
+    """Return the scene with settings that meet its fidelity requirement, and notes on them."""
     if scene.fidelity is None:
         return scene, {}
     from tissue.evaluation.charts.frontier import with_fidelity

@@ -41,8 +41,7 @@ class PressingTool:
 
     @property
     def surface(self) -> pyvista.PolyData:
-        """Surface in the frame of the tool [mm]: tip at the origin, z axis from tip to shank.
-        """
+        """Surface in the frame of the tool [mm]: tip at the origin, z axis from tip to shank."""
         from tissue.show.figures.tool_mesh import tool_surface
 
         drawn = tool_surface(self.probe)

@@ -92,7 +92,8 @@ class Placed(Drilled):
         None, examples=[(0.0, 0.0, 1.0)]
     )
     """Outward normal of the bone's surface at the site, in the file's frame. It becomes the z
-    axis."""
+    axis.
+    """
     along: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
     """Direction in the file's frame whose component perpendicular to `normal` becomes x."""
     cortical_thickness_mm: float = Field(1.5, gt=0, le=10)
@@ -278,7 +279,8 @@ class Tooth(CutAnatomy):
     """A molar."""
     ligament_thickness_mm: float = Field(0.22, ge=0.1, le=0.5)
     """Thickness of the periodontal ligament. For a tooth from files, it affects only the computed
-    stress."""
+    stress.
+    """
 
     @property
     def layer_files(self) -> dict[str, str]:
@@ -333,7 +335,8 @@ class MolarSurfaces(ToothSite, Drilled):
     """File of the closed surface of the dentin."""
     pulp_file: FileName | None = Field(None, examples=["pulp.stl"])
     """File of the closed surface of the pulp. With this file, `keep_clear.names` may contain
-    `pulp`."""
+    `pulp`.
+    """
     caries_file: FileName | None = Field(None, examples=["caries.stl"])
     """File of the closed surface of a carious lesion."""
     ligament_file: FileName | None = Field(None, examples=["ligament.stl"])
@@ -385,13 +388,13 @@ class VertebraAnatomy(Drilled):
     canal_depth_mm: float = Field(18.6, ge=11, le=26)
     """Depth of the spinal canal, front to back."""
     pedicle_width_mm: float = Field(12.9, ge=5, le=22)
-    """Width of the pedicle. It must be more than three times `pedicle_cortex_mm`.
-    """
+    """Width of the pedicle. It must be more than three times `pedicle_cortex_mm`."""
     pedicle_height_mm: float = Field(14.8, ge=8, le=22)
     """Height of the pedicle."""
     pedicle_angle_deg: float = Field(17.7, ge=0, le=35)
     """Angle between the pedicle's axis and the front-back direction, towards the midline at the
-    front."""
+    front.
+    """
     pedicle_cortex_mm: float = Field(1.0, ge=0.3, le=3)
     """Thickness of the cortical bone of pedicle and arch."""
     trabecular_density_kg_m3: float = Field(180.0, ge=50, le=1200)

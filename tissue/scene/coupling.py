@@ -27,7 +27,8 @@ class Hardware(Part):
     """
     turn_deg: Vector = (0.0, 0.0, 0.0)
     """Rotation from the axes of the device to the axes of the scene: angles about the scene's x,
-    then y, then z axis."""
+    then y, then z axis.
+    """
     clutch_button: Button | None = Field(None, examples=[1])
     """Number of the clutch button of the device; the first button is 0. While the user holds this
     button, the device moves without the tool. Default: no clutch button.
@@ -120,8 +121,9 @@ class Device(Part):
     prediction: Annotated[str, OneOf(PREDICTORS, ("none",))] = "none"
     """Force predictor, which compensates the latency of the force and of slow tissue models."""
     perception: Annotated[str, OneOf(PERCEPTIONS, ("none",))] = "none"
-    """Model of force perception that scales the force at the device for a person. `population` is
-    an average person. `observer:FILE` is one person, from a file that `tissue calibrate` wrote.
+    """Model of force perception that scales the force at the device for a person. `population` is a
+    model of an unknown person. `observer:FILE` is a model of one person, from a file that `tissue
+    calibrate` wrote.
     """
     coupling: Coupling = Coupling()
     """Coupling of the device to the tool."""

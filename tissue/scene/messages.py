@@ -357,8 +357,7 @@ def entries(table: Table, prefix: str = "") -> Iterator[tuple[str, object]]:
 
 
 def _shown(value: object) -> str:
-    """Return an invalid value as text, with decimal point and quotes, which may be the fault.
-    """
+    """Return an invalid value as text, with decimal point and quotes, which may be the fault."""
     if isinstance(value, float) and value.is_integer():
         return repr(value)
     return f'"{shown(value)}"' if isinstance(value, str) and value[:1].isdigit() else shown(value)

@@ -108,8 +108,7 @@ class SlabAnatomy(WithNodule):
     size_mm: Annotated[tuple[Length_mm, Length_mm, Length_mm], Strict(False)] = (120.0, 80.0, 40.0)
     """Edge lengths along x, y and z."""
     edge_mm: float = Field(8.0, ge=0.5, le=20)
-    """Edge length of the tetrahedra at the top face, far from the tool. It increases downwards.
-    """
+    """Edge length of the tetrahedra at the top face, far from the tool. It increases downwards."""
 
 
 def _apart(depths_mm: dict[str, float]) -> dict[str, float] | None:
@@ -200,8 +199,7 @@ class IncisedAnatomy(Part):
     material: Literal["skin", "liver"] = "skin"
     """Tissue whose built-in constants are used."""
     interval_ms: float = Field(100.0, ge=0, le=10_000)
-    """Time between two saved shapes of the opened cut. With 0 no shapes are computed.
-    """
+    """Time between two saved shapes of the opened cut. With 0 no shapes are computed."""
 
 
 Modulus_kPa = Annotated[float, Field(ge=0.1, le=1e5, examples=[80.0])]
@@ -255,7 +253,8 @@ class Organ(Part):
     """
     capsule: bool = False
     """True to add a capsule (a thin membrane) to the surface. Its thickness and modulus are
-    built-in constants."""
+    built-in constants.
+    """
     gravity: bool = False
     """True to deform the organ by its own weight, along -z."""
     viscous: bool = False
@@ -270,8 +269,7 @@ class Organ(Part):
     second_share: Annotated[float | None, Needs("organ.law", "mooney-rivlin")] = Field(
         None, ge=0, le=1, examples=[0.3]
     )
-    """Share of the second-invariant term in the shear modulus of a Mooney-Rivlin law.
-    """
+    """Share of the second-invariant term in the shear modulus of a Mooney-Rivlin law."""
     square_ratio: Annotated[float | None, Needs("organ.law", "yeoh")] = Field(
         None, ge=-1, le=100, examples=[0.1]
     )
@@ -288,7 +286,8 @@ class Organ(Part):
         None, gt=0, le=100, examples=[3.0]
     )
     """Factor in the exponent of an exponential law, whose energy depends on the first invariant.
-    Default: the value of `organ.material`."""
+    Default: the value of `organ.material`.
+    """
     law_interval_ms: Annotated[float, Needs("organ.law")] = Field(25.0, ge=5, le=1000)
     """Time between two solutions of the deformation with a law other than `linear`."""
     friction: float = Field(0.3, ge=0, le=2)

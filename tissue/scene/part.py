@@ -338,9 +338,7 @@ class Idle(NamedTuple):
 
 
 def is_given(part: "Part", name: str) -> bool:
-    """Return whether a key of a table was set to a value other than its default.
-
-    """
+    """Return whether a key of a table was set to a value other than its default."""
     return (
         name in part.model_fields_set
         and getattr(part, name) != type(part).model_fields[name].default

@@ -85,8 +85,7 @@ ANATOMIES = Registry(
     },
     group="tissue.tissues",
 )
-"""Anatomies: table classes, one for each source of the shape, and class of the tools.
-"""
+"""Anatomies: table classes, one for each source of the shape, and class of the tools."""
 MOTIONS = Registry(
     "motion.kind",
     {

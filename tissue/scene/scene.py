@@ -147,7 +147,8 @@ class Cutting(Part):
     """Edge force along the edge, divided by the length of the edge."""
     density_exponent: float | None = Field(None, ge=0, le=5, examples=[1.5])
     """Exponent n of the density: all coefficients are scaled by (density / reference density) **
-    n."""
+    n.
+    """
     size_exponent: float | None = Field(None, ge=0, lt=1, examples=[0.5])
     """Exponent m of the size effect: the three chip coefficients are proportional to (chip
     thickness) ** -m. With 0 there is no size effect.
@@ -183,11 +184,9 @@ class Stress(Part):
     """
 
     cell_mm: float = Field(0.5, ge=0.2, le=1.5)
-    """Edge of a finite element. Half of it must be a whole multiple of `voxels.spacing_mm`.
-    """
+    """Edge of a finite element. Half of it must be a whole multiple of `voxels.spacing_mm`."""
     interval_ms: float = Field(100.0, ge=10, le=10_000)
-    """Time between two solutions. The shown stress is never older than this time.
-    """
+    """Time between two solutions. The shown stress is never older than this time."""
 
 
 def _without_stress(value: object) -> object:

@@ -86,8 +86,7 @@ class Shaped(Part):
     """Shape of the tool."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the keys and values; the class itself cannot be pickled because no module has it.
-        """
+        """Pickle the keys and values; the class itself cannot be pickled because no module has it."""
         return tool_of, (self.model_dump(exclude_unset=True),)
 
 
@@ -157,8 +156,7 @@ class Tool(Shaped):
 
 
 class Probe(Shaped):
-    """A smooth tool that presses: a ball, the flat end of a cylinder, or any closed surface.
-    """
+    """A smooth tool that presses: a ball, the flat end of a cylinder, or any closed surface."""
 
     @property
     def file_name(self) -> str:
