@@ -29,10 +29,10 @@ def calibrate(
 ) -> None:
     """Estimate how a person perceives force, from an adaptive session of questions.
 
-    The results are the threshold for force differences, and the exponent of perceived intensity
-    over force. With --population, the distribution over many persons is estimated from their
-    sessions. Each answer is written to disk before the next question. After an interruption, the
-    same command continues the session.
+    The results are the smallest force difference that the person feels, and the exponent of the
+    power law between force and perceived intensity. With --population, the distribution over many
+    persons is estimated from their sessions. Each answer is written to disk before the next
+    question. After an interruption, the same command continues the session.
 
     Parameters
     ----------

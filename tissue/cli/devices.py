@@ -20,7 +20,7 @@ def devices(
     out: Path | None = None,
     overwrite: Flag = False,
 ) -> None:
-    """List the supported haptic devices with their limits, or test one device.
+    """List the haptic devices of this machine with their limits, or test one device.
 
     The test first measures rate, regularity and latency of the device's position samples, without
     force. Then, after a confirmation by the user, the device pushes the hand with 0.5 N. Not for

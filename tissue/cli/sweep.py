@@ -43,7 +43,7 @@ def sweep(
         Number of parallel processes; default one per core. With one process, each run uses all
         cores.
     compute
-        Device for the kernels: cpu or cuda:0.
+        Device that computes the kernels: cpu or cuda:0.
     cores
         Processor cores for each run; default one, or all cores if there is one process.
     pictures

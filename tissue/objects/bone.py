@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from tissue.objects.cutting import Cut, Structures
 
 SHOWN_VOXELS = 4e6
-"""Largest number of voxels for drawing the surface of a bone given by a formula.
+"""Largest number of voxels for drawing the surface of a bone whose shape is a formula.
 
 This surface shows the bone before any cut. It is computed from voxels that may be coarser than the
 voxels of the bone. With 4 million voxels, a ball has about 200,000 triangles.
@@ -51,7 +51,7 @@ class BoneOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class BoneSource:
-    """Source that makes an uncut bone any number of times.
+    """Data from which uncut copies of a bone are made.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class BoneSource:
     density_kg_m3
         Density of a bone with a single density [kg/m3]; None for other bones.
     made_from
-        Shape and densities of a bone whose voxels are made only where a tool comes near.
+        Shape and densities of a bone, if its voxels are made only near a tool.
     """
 
     voxels: "Callable[[], VoxelVolume | BricksOnDemand]"
@@ -135,8 +135,7 @@ class Bone:
         trabecular_density_kg_m3: float = TRABECULAR_KG_M3,
         **options: Unpack[BoneOptions],
     ) -> "Bone":
-        """Make a bone that fills a closed surface: a cortical shell of even thickness around
-        trabecular bone.
+        """Make a bone from a closed surface: a uniform cortical shell around trabecular bone.
 
         Parameters
         ----------
@@ -383,9 +382,10 @@ class Bone:
         axis
             Direction from tip to shank if the poses are tip positions only; default z.
         depth_mm, tolerance
-            Smallest depth of cut that matters [mm], 0.001 to 100, and accepted relative error of
-            the force at this depth, 0.001 to 0.1. Together they set the number of cutting elements
-            on the tool's surface. The voxels should be smaller than the depth.
+            Depth of cut [mm], 0.001 to 100, and accepted relative error of the force at this depth,
+            0.001 to 0.1. From both, the number of cutting elements on the tool's surface is chosen.
+            Give the smallest depth of cut that matters. The voxels should be smaller than this
+            depth.
         keep_clear
             Closed surfaces that the tool must not touch, keyed by name. Each surface is a file or a
             pyvista surface in the frame of the bone [mm]. The trace has a column

@@ -104,7 +104,7 @@ def run(
         number.
     trials
         Number of trials after which the session stops; default all trials. A later call continues
-        it.
+        the session.
 
     Raises
     ------

@@ -43,7 +43,7 @@ LONGEST_VALUE = 60
 LONGEST_LABEL = 40
 """Largest number of characters of a legend entry; longer ones are replaced by the run's name."""
 DESCRIBING = ("name", "description")
-"""Keys of a scene that have no effect on its run."""
+"""Scene keys that have no effect on a run."""
 BUILT_IN_IF_EMPTY = ("materials", "device.coupling.predictor_file")
 """Scene keys that name a file; if the value is empty, a built-in file is used."""
 OUTSIDE = {"tissue": "version of tissue", "compute": "compute device", "machine": "machine"}
@@ -114,8 +114,7 @@ class Comparison:
     def texts(self) -> tuple[list[str], list[list[str]]]:
         """Return column titles and rows of a readable table of the summary values that differ.
 
-        The value of each further run is followed by its relative difference from the value of the
-        first run.
+        For each run but the first, a cell also contains the relative difference from the first run.
         """
         _, rows = self.rows()
         found = []

@@ -37,9 +37,7 @@ class Fit:
 
     @property
     def verdicts(self) -> list[str]:
-        """Sentences on the constants that the data determine, on the other constants, and on the
-        next measurement.
-        """
+        """Sentences on which constants the data determine, and on useful further measurements."""
         return self.fitted.verdicts
 
     @property
@@ -137,7 +135,7 @@ def fit(
     max_memory_GB
         Memory that the log may take [GB]; default half of the free memory.
     progress
-        Whether to show a progress bar, or a function that is called with the name of the current
+        Whether to show a progress bar; or a function that is called with the name of the current
         work.
 
     Raises

@@ -130,7 +130,7 @@ class Loop:
         longest_s, keep_clear
             Time for which rows of the trace are allocated [s]. Structures that a cutter must not
             touch, as for `tissue.Bone.cut`. With a device, the loop stops when all rows of the
-            trace are used. Without a device, the newest rows then replace the oldest rows.
+            trace are used. Without a device, the newest rows replace the oldest rows from then on.
         step_ms
             Duration of a step without a device [ms], 1 to 1000. In a step of several ticks, the
             tool moves along a straight line. A curved path is therefore replaced by chords.

@@ -96,8 +96,8 @@ class Press:
         Point of the surface at which the tool presses [mm], and unit vector of the tool's motion,
         each of shape (3,).
     notes
-        Notes on assumptions and on limits of the model, keyed by subject. The note ``linear``
-        states the depth up to which the linear law is valid.
+        Notes on assumptions and on limits of the model, keyed by subject. For a ball, the note
+        ``linear`` states the depth up to which the linear law is valid.
     """
 
     tool: PressingTool

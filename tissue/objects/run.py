@@ -431,7 +431,7 @@ def open_run(path: str | Path) -> Run:
 
 
 def assessed_run(run: Run | str | Path) -> "AssessedRun":
-    """Return the data that an assessment needs, from a run or from the folder of a run."""
+    """Return the data that `tissue.assess` needs, from a run or from the folder of a run."""
     from tissue.evaluation.same_task import AssessedRun
 
     run = run if isinstance(run, Run) else Run.load(run)

@@ -31,7 +31,7 @@ def wall_loop(
 ) -> WallLoop:
     """Return the control loop of a haptic device that a hand holds against a virtual wall.
 
-    Use ``dataclasses.replace`` to change the tick, the delay and other fields of the loop.
+    To change its fields, such as the tick and the delay, use ``dataclasses.replace``.
 
     Parameters
     ----------

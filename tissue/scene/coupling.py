@@ -101,8 +101,8 @@ class Coupling(Part):
     that is shipped for the built-in scene is used.
     """
     roam_mm: float | None = Field(None, ge=0, le=100, examples=[8.0])
-    """Distance around the scripted motion within which the tissue is prepared for contact with the
-    tool. Default: 2 mm on an organ, and 0 on bone.
+    """Distance from the motion of the scene within which the tissue is prepared for contact with
+    the tool. Default: 2 mm on an organ, and 0 on bone.
     """
 
 

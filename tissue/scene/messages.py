@@ -452,7 +452,7 @@ def _addition(names: tuple[str, ...], field: FieldInfo) -> str:
 
 
 NOTHING = ("", "none", "None", "null")
-"""Values by which users try to unset a key."""
+"""Values that users write to remove the value of a key."""
 FITTING = (str, int, float, list, tuple, Mapping)
 """Types of values that can be written into an instruction for the user."""
 

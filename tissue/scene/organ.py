@@ -258,7 +258,7 @@ class Organ(Part):
     gravity: bool = False
     """True to deform the organ by its own weight, along -z."""
     viscous: bool = False
-    """True for viscous relaxation, by a Prony series with built-in constants."""
+    """True to model viscous relaxation of the tissue, by a Prony series with built-in constants."""
     law: Literal["linear", "neo-hookean", "mooney-rivlin", "yeoh", "ogden", "exponential"] = (
         "linear"
     )
@@ -273,10 +273,12 @@ class Organ(Part):
     square_ratio: Annotated[float | None, Needs("organ.law", "yeoh")] = Field(
         None, ge=-1, le=100, examples=[0.1]
     )
-    """Coefficient of the second power in a Yeoh law, divided by the coefficient of the first power.
+    """Coefficient of the second-power term in a Yeoh law, divided by the coefficient of the
+    first-power term.
     """
     cube_ratio: Annotated[float, Needs("organ.law", "yeoh")] = Field(0.0, ge=-1, le=100)
-    """Coefficient of the third power in a Yeoh law, divided by the coefficient of the first power.
+    """Coefficient of the third-power term in a Yeoh law, divided by the coefficient of the
+    first-power term.
     """
     exponent: Annotated[float | None, Needs("organ.law", "ogden")] = Field(
         None, ge=-30, le=30, examples=[8.0]

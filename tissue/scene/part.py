@@ -52,8 +52,8 @@ class Registry(Generic[T]):
         Parts, keyed by name. A name such as ``observer:FILE`` matches texts with any other text
         after the colon.
     group
-        Group of entry points through which installed packages offer more parts. They are read only
-        if a name is unknown, or if all names are requested.
+        Group of entry points through which installed packages offer more parts. The entry points
+        are read only if a name is unknown, or if all names are requested.
 
     Attributes
     ----------
@@ -131,7 +131,7 @@ class Registry(Generic[T]):
     def with_file_at(self, text: str, folder: Path) -> str:
         """Return a text such as ``observer:a.json`` with the path of its file made absolute.
 
-        A relative path is relative to ``folder``.
+        A relative path is taken as relative to `folder`.
         """
         for name in self if ":" in text else ():
             head = name.removesuffix("FILE")
@@ -315,7 +315,7 @@ class ByKind:
 
 
 READ_BACK = {"written by": "tissue"}
-"""Validation context that accepts keys without effect.
+"""Context for pydantic with which keys without effect are accepted.
 
 The context is needed because a live run sets ``coupling.roam_mm`` at a wall, where this key has no
 effect.
@@ -331,7 +331,7 @@ Rule = tuple[str, bool, str, str]
 
 
 class Idle(NamedTuple):
-    """Reason why a key has no effect, such as ``without a nodule``, and the remedy."""
+    """Reason why a key has no effect, such as ``without a nodule``, and how to change the scene."""
 
     where: str
     remedy: str
@@ -443,7 +443,9 @@ class Part(BaseModel):
         return found
 
     def effective_table(self) -> dict[str, Any]:
-        """Return the table for TOML, including defaults, without keys that have no effect."""
+        """Return the table with all values, including defaults, but without keys that have no
+        effect.
+        """
         table = self.model_dump(mode="json", exclude_none=True)
         idle = self.idle()
         for name in type(self).model_fields:

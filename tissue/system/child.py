@@ -275,7 +275,8 @@ class Helper:
     module
         Module that the helper runs.
     does
-        Task of the helper, as a verb phrase for error messages: ``solves the stress`` in "the process that solves the stress".
+        Task of the helper, as a verb phrase for error messages: ``solves the stress`` in "the
+        process that solves the stress".
 
     Attributes
     ----------
