@@ -86,7 +86,7 @@ class Shaped(Part):
     """Shape of the tool."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the keys and values; the class itself cannot be pickled because no module has it."""
+        """Pickle the keys and values, because a class that is created at run time has no module."""
         return tool_of, (self.model_dump(exclude_unset=True),)
 
 
