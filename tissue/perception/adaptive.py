@@ -242,9 +242,9 @@ class AdaptiveThreshold:
         return self.posterior.reshape(self.prior.cells, -1, self.posterior.shape[1]).sum(axis=1)
 
     def weber(self) -> tuple[Array, Array]:
-        """Return geometric mean and standard deviation of the logarithm of the Weber fraction.
+        """Return the geometric mean and the logarithmic spread of the Weber fraction.
 
-        Both arrays have shape (observers,).
+        The spread is the standard deviation of the logarithm. Both arrays have shape (observers,).
         """
         return self._log_moments(self._weber)
 

@@ -85,10 +85,10 @@ class Intensity:
         E[S]   = exp(m + v / 2)
         Var[S] = E[S]^2 (exp(v) (1 + E[sigma^2]) - 1)
 
-    The scatter e multiplies the intensity, whereas a fit of reported numbers has the scatter in ln
-    S. The two forms are equal to first order. Scatter in ln S is not used here, because the mean of
-    S would not exist if sigma squared has an inverse-gamma distribution. The unit of intensity is
-    the intensity that the reference observer perceives at 1 N.
+    Here the scatter multiplies the intensity, whereas a fit of reported numbers has the scatter in
+    ln S. The two forms are equal to first order. Scatter in ln S is not used here, because the mean
+    of S would not exist if sigma squared has an inverse-gamma distribution. The unit of intensity
+    is the intensity that the reference observer perceives at 1 N.
 
     Attributes
     ----------

@@ -156,7 +156,7 @@ class Observer:
 
     @property
     def kappa(self) -> float:
-        """Median of Weber's fraction."""
+        """Median of the Weber fraction."""
         return exp(self.mean[2])
 
     @property

@@ -217,7 +217,7 @@ class PerceivedForce:
     sense
         Model of the person's estimate of the command.
     sentence
-        Description of the observer and of the scaling, reported before a run.
+        Sentence about the observer and the scaling, reported before a run.
 
     Attributes
     ----------

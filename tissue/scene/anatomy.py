@@ -53,7 +53,9 @@ class CutAnatomy(Part):
 
     @property
     def structure_files(self) -> dict[str, str]:
-        """Surface files of the structures for `keep_clear.names`, keyed by structure."""
+        """Surface files of the structures that `keep_clear.names` may contain, keyed by
+        structure.
+        """
         return {}
 
     @property

@@ -26,8 +26,8 @@ class Hardware(Part):
     is used.
     """
     turn_deg: Vector = (0.0, 0.0, 0.0)
-    """Rotation from the axes of the device to the axes of the scene: angles about the scene's x,
-    then y, then z axis.
+    """Rotation from the axes of the device to the axes of the scene: angles about the scene's x, y
+    and z axes, applied in this order.
     """
     clutch_button: Button | None = Field(None, examples=[1])
     """Number of the clutch button of the device; the first button is 0. While the user holds this

@@ -443,8 +443,7 @@ class Part(BaseModel):
         return found
 
     def effective_table(self) -> dict[str, Any]:
-        """Return the table with defaults, but without keys that have no effect.
-        """
+        """Return the table with defaults, but without keys that have no effect."""
         table = self.model_dump(mode="json", exclude_none=True)
         idle = self.idle()
         for name in type(self).model_fields:

@@ -1,6 +1,6 @@
 """Output folders in which a command never replaces or removes files of the user.
 
-A lock prevents that two processes write to the same output folder or file.
+A lock keeps two processes from writing to the same output folder or file.
 """
 
 import errno
@@ -46,7 +46,7 @@ LONGEST_LOCK = 32
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 """Flag of ``os.open`` that refuses symbolic links."""
 SAME_S = 5.0
-"""Tolerance for the start time by which a process is recognised [s].
+"""Tolerance of the start time with which a process is recognised [s].
 
 The tolerance allows for a change of the system clock. Process ids are assigned in order, so another
 process rarely gets the same id within this time.

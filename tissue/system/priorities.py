@@ -134,8 +134,8 @@ class TickPriority:
 def _schedule(thread: int, policy: int, priority: int) -> None:
     """Restore the scheduling policy of a thread.
 
-    Without the permission to clear the flag SCHED_RESET_ON_FORK, the thread keeps it, which has no
-    other effect.
+    Without the permission to clear the flag SCHED_RESET_ON_FORK, the thread keeps this flag, which
+    is harmless.
     """
     try:
         os.sched_setscheduler(thread, policy, os.sched_param(priority))

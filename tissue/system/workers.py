@@ -80,7 +80,7 @@ def first_done(
 
     Returns
     -------
-    The finished futures. After workers were killed, the futures raise
+    The finished futures. After workers were killed, the ``result`` of a future raises
     `concurrent.futures.BrokenExecutor`.
     """
     detector = HangDetector(
