@@ -1,1 +1,1 @@
-"""The ``tissue`` command; each subcommand has a file of its own."""
+"""The ``tissue`` command, with one module for each subcommand or group of subcommands."""

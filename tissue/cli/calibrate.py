@@ -27,24 +27,25 @@ def calibrate(
     seed: Whole = 0,
     overwrite: Flag = False,
 ) -> None:
-    """Estimate a person's force threshold and exponent in an adaptive session.
+    """Estimate how a person perceives force, from an adaptive session of questions.
 
-    With --population, the values of a population are estimated from many sessions. Each trial is
-    written to disk before the next one. After an interruption, the same command continues the
-    session.
+    The results are the smallest force difference that the person feels, and the exponent of the
+    power law between force and perceived intensity. With --population, the distribution over many
+    persons is estimated from their sessions. Each answer is written to disk before the next
+    question. After an interruption, the same command continues the session.
 
     Parameters
     ----------
     observer
-        Simulated person who answers: simulated:SEED, or simulated:GROUP:SEED; the groups are
-        novice, intermediate and expert.
+        Simulated person who answers: simulated:SEED or simulated:GROUP:SEED, where GROUP is novice,
+        intermediate or expert.
     ask
-        Run the trials with a person, who feels forces on the device and answers with the keyboard.
+        Ask a real person, who feels forces on the device and answers with the keyboard.
     population
-        Folder with logs of sessions (*.trials.jsonl), from which the population is estimated.
+        Folder with the logs of many sessions (*.trials.jsonl).
     out
-        File to write; default observer.json, or population.json. The log of the trials and a
-        picture are written to the same folder.
+        File to write; default observer.json, or population.json with --population. The log of the
+        answers and a picture are written to the same folder.
     device
         Device that plays forces to a person: haply, forcedimension, sigma-7, openhaptics, network,
         recorded, or a device of an installed package. With mouse (default), touch, omni or six-dof,
@@ -57,7 +58,7 @@ def calibrate(
     numbers
         Number of forces that the person rates with a number; default 24.
     seed
-        Seed of the order of the trials, and of the random draws for a population.
+        Seed of the order of the questions or, with --population, of the random draws.
     overwrite
         Replace the files of an earlier session.
     """
@@ -102,7 +103,7 @@ def calibrate(
 
 
 def _session(target: Path, name: str, plan: "Plan", answer: "Answer", *, overwrite: bool) -> None:
-    """Run or continue a session after the last answer in its log, and write its files."""
+    """Run a session, or continue it after the last answer in its log, and write the results."""
     from meshes.base.whole_file import whole_file
     from tissue.evaluation.calibration.answers import begin
     from tissue.evaluation.calibration.population_fit import draw_session
@@ -127,7 +128,7 @@ def _session(target: Path, name: str, plan: "Plan", answer: "Answer", *, overwri
 
 
 def _ask_all(log: "TrialLog", answer: "Answer") -> None:
-    """Ask the remaining questions; if the user stops, print how to continue."""
+    """Ask the remaining questions; after Ctrl-C, print how to continue."""
     from tissue.evaluation.calibration.answers import StoppedError
     from tissue.evaluation.calibration.session import read_log
 

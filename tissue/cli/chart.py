@@ -7,9 +7,9 @@ from tissue.cli.terminal import Flag, MaybeWhole, console, left_out
 from tissue.system.progress import progress
 
 TRIALS = 30
-"""Default number of runs of each scene for the test of predictors: ten runs for each hand."""
+"""Default number of test runs of each scene for predictors: ten runs for each simulated hand."""
 TASKS = ("palpation", "wall", "milling")
-"""Scenes of the tasks T1 to T3 of the study."""
+"""Default scenes for the chart of predictors."""
 
 
 def chart(
@@ -19,19 +19,19 @@ def chart(
     trials: MaybeWhole = None,
     overwrite: Flag = False,
 ) -> None:
-    """Measure and draw the speed and accuracy of scenes, or the errors of predictors.
+    """Measure and draw tick times and force errors of scenes, or errors of force predictors.
 
     Parameters
     ----------
     what
-        Names of built-in scenes (default all): draw tick time and force error of many settings.
-        With `prediction`, followed by names of scenes (default palpation, wall and milling): draw
-        the errors of all predictors on runs that were not used for training.
+        Names of built-in scenes (default all): draw tick time and force error of each scene for
+        many settings. `prediction` and names of scenes (default palpation, wall and milling): draw
+        the errors of all force predictors in runs that were not used for training.
     out
         Output folder; default charts or charts/prediction.
     quick
-        With scenes: use fewer settings, shorter parts of the scenes and a coarser reference. Not
-        possible with prediction.
+        Use fewer settings, shorter runs and a coarser reference solution. Not possible with
+        prediction.
     trials
         Only with prediction: number of test runs of each scene; default 30.
     overwrite

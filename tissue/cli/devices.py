@@ -22,8 +22,9 @@ def devices(
 ) -> None:
     """List the haptic devices of this machine with their limits, or test one device.
 
-    The test first measures rate, regularity and latency of the samples, without force. After a
-    confirmation, the device then pushes the hand with 0.5 N. Not for clinical use.
+    The test first measures rate, regularity and latency of the device's position samples, without
+    force. Then, after a confirmation by the user, the device pushes the hand with 0.5 N. Not for
+    clinical use.
 
     Parameters
     ----------
@@ -34,10 +35,10 @@ def devices(
     seconds
         Duration of the measurement, in seconds; default 2.
     yes
-        Push the hand without asking for confirmation.
+        Push the hand without a confirmation.
     out
-        TOML file to write with the measured rate and latency. A scene uses these values if its key
-        materials names the file.
+        TOML file to which the measured rate and latency are written. A scene uses these values if
+        its key materials names this file.
     overwrite
         Replace an existing file.
     """
@@ -148,7 +149,7 @@ def _lines(measured: "SelfTest") -> list[str]:
 
 
 def _confirmed(push: str) -> bool:
-    """Ask the person who holds the device to confirm the push; return the answer."""
+    """Ask the user to confirm that the device may push the hand; return the answer."""
     console.print(
         f"Hold the handle loosely; the device will push with at most {push}. Type push and "
         "Enter to feel it:"

@@ -26,27 +26,29 @@ def fit(
     max_memory_GB: MemoryGB = None,
     overwrite: Flag = False,
 ) -> None:
-    """Fit the constants of a scene's material to a force log, steady loads or presses.
+    """Fit the material constants of a scene to measured forces.
 
     Parameters
     ----------
     scene
         Name of a scene, or a TOML file, with the tissue and the tool of the measurement.
     measured
-        Log of poses and forces: text, .parquet, .h5, .mat or .npz file; the trace of a run is such
-        a log. The file may also be a table of steady loads of a drill with the columns thrust_N,
-        torque_Nmm, feed_mm_min and spin_rpm. The fit then also reports which cutting laws the table
-        rejects. The third kind of file is a table of presses of a ball on a slab with the columns
-        depth_mm, force_N and optionally probe.
+        File of one of three kinds: text, .parquet, .h5, .mat or .npz. The first kind is a log of
+        poses and forces over time, such as the trace of a run. The second kind is a table of steady
+        loads of a drill with the columns thrust_N, torque_Nmm, feed_mm_min and spin_rpm; the fit
+        then also reports which cutting laws are incompatible with the table. The third kind is a
+        table of presses of a ball on a slab with the columns depth_mm, force_N and optionally
+        probe, the number of the press.
     out
         Output folder; default fits/NAME.
     free
-        Constants to fit, separated by commas: cutting.trabecular, cutting.edge, or full names.
-        Default: all constants of the touched tissue that have a range.
+        Constants to fit, separated by commas: groups such as cutting.trabecular and cutting.edge,
+        or full names. Default: all constants of the touched tissue that have a published range.
     column
-        NAME=COLUMN[:UNIT] if a column of the log has another name or unit, such as
-        force_x_N=-Fx:mN. NAME=NUMBER for a constant value. time_s=RATE:Hz for a log without times.
-        May be repeated.
+        Name and unit of a column of the log, if they differ from those of a trace:
+        NAME=COLUMN[:UNIT], such as force_x_N=-Fx:mN for the negative of column Fx in mN.
+        NAME=NUMBER sets a constant value. time_s=RATE:Hz sets the sampling rate of a log without
+        times. May be repeated.
     set_
         KEY=VALUE replaces an entry of the scene; may be repeated.
     cores

@@ -14,28 +14,28 @@ from tissue.system.progress import progress
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class ImageOptions:
-    """Options of the CT and its labels; all fields except crop are arguments of `import_ct`.
+    """Command-line options for the CT and its labels.
 
     Attributes
     ----------
     labels
-        Labels of the same CT: label volume, folder of masks, DICOM SEG or RTSTRUCT.
+        Segmentation of the CT: label volume, folder of masks, DICOM SEG or RTSTRUCT.
     label_names
-        Names of the numbers in the labels: totalsegmentator, dentalsegmentator, verse, toothfairy,
-        or a TOML file; default the names in the label file.
+        Table of the names of numbered labels: totalsegmentator, dentalsegmentator, verse,
+        toothfairy, or a TOML file; default the names in the label file.
     region
         Label of the bone or soft organ to import, such as scapula_left.
     crop
-        X0,Y0,Z0,X1,Y1,Z1: box to keep, in mm.
+        X0,Y0,Z0,X1,Y1,Z1: two opposite corners of the box to which the CT is cropped, in mm.
     threshold
-        Value above which a voxel is bone; default a suggestion from the histogram.
+        Image value above which a voxel is bone; default a suggestion from the histogram.
     series
-        Number of the series, if the folder contains several series.
+        Number of the DICOM series to read, if the folder contains several series.
     spacing_mm
         S or X,Y,Z: voxel spacing in mm of files that do not contain it, such as TIFF slices.
     density
-        Conversion of CT values to density: internal, a named law, or line:SLOPE,OFFSET; default
-        internal if the image is suitable.
+        Conversion of CT values to density: internal (calibration from tissues in the image), the
+        name of a published law, or line:SLOPE,OFFSET; default internal if the image is suitable.
     """
 
     labels: Path | None = None
@@ -51,17 +51,18 @@ class ImageOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class SceneOptions:
-    """Options of the scene; all fields except site, normal and part are arguments of `import_ct`.
+    """Command-line options for the scene that is made.
 
     Attributes
     ----------
     site
         Place where the tool works: glenoid, femoral-head, humeral-head, vertebra[:left],
-        tooth[:lesion], X,Y,Z in mm, or a .mrk.json file; default from the name of the region.
+        tooth[:lesion], a point X,Y,Z in mm, or a .mrk.json file. The default depends on the name of
+        the region.
     normal
-        X,Y,Z: outward direction, for a site that is a point; default the surface normal.
+        X,Y,Z: outward direction at a site that is given as a point; default the surface normal.
     coordinates
-        Coordinate system of crop, site, normal and path.
+        Coordinate system of the values of crop, site, normal and path.
     path
         Toolpath in mm: CSV, .mrk.json curve or G-code.
     feed_mm_s
@@ -69,10 +70,10 @@ class SceneOptions:
     keep_clear
         Label of a structure that the tool must not touch; may be repeated.
     like
-        Scene from which tool and motion are copied; the default depends on the site.
+        Name of a scene from which tool and motion are copied; the default depends on the site.
     part
-        NAME=KPA: label of a structure in a soft organ, and its Young's modulus in kPa; may be
-        repeated.
+        NAME=KPA: label of a structure in the imported soft organ, and Young's modulus of this
+        structure in kPa; may be repeated.
     """
 
     site: Numbers = None
@@ -104,7 +105,7 @@ def import_(
     out
         Output folder, in which scene.toml is written.
     max_memory_GB
-        Memory that an image may take, in GB; default half of the free memory.
+        Memory that the image may take, in GB; default half of the free memory.
     overwrite
         Replace the import that the folder already holds.
     """
@@ -158,7 +159,7 @@ def _arguments(options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _part(text: str) -> tuple[str, float]:
-    """Parse the name and the modulus of a part."""
+    """Parse a text ``NAME=KPA``; return name and Young's modulus [kPa] of a part."""
     name, _, modulus = text.rpartition("=")
     try:
         return name, float(modulus)
@@ -167,7 +168,7 @@ def _part(text: str) -> tuple[str, float]:
 
 
 def _numbers(name: str, text: str, count: int, form: str) -> tuple[float, ...]:
-    """Parse numbers separated by commas."""
+    """Parse `count` numbers that are separated by commas."""
     try:
         found = tuple(float(word) for word in text.split(","))
     except ValueError:

@@ -64,14 +64,14 @@ COMMANDS = (
 
 
 PIPE_CLOSED = 141
-"""Exit code if the reader of the output has ended: 128 plus the number of SIGPIPE."""
+"""Exit code if the program that reads the output has ended: 128 plus the number of SIGPIPE."""
 
 
 def open_streams() -> None:
     """Replace closed standard streams, and escape characters that a stream cannot encode.
 
-    Without a replacement, the next file that is opened would get the closed descriptor. Libraries
-    that print to this descriptor would then write into the file.
+    Otherwise, the next file that is opened would get the file descriptor of the closed stream.
+    Libraries that print to this descriptor would then write into that file.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
@@ -99,14 +99,14 @@ def has_working_folder() -> bool:
 
 
 def leave_pipe() -> NoReturn:
-    """End a command whose output no other program reads any more, with exit code `PIPE_CLOSED`."""
+    """End the command with exit code `PIPE_CLOSED`, because no program reads its output."""
     nothing = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nothing, 1)  # discards buffered output
     sys.exit(PIPE_CLOSED)
 
 
 def _default(value: object) -> str | None:
-    """Return the default that the help shows; None if there is no default or a switch is off."""
+    """Return the text of a default for the help; None for no default, or for False."""
     return None if value is None or value is False or value in ((), "") else str(value)
 
 
@@ -197,7 +197,7 @@ def main() -> NoReturn:
 
 @contextmanager
 def _plain_warnings() -> Iterator[None]:
-    """Show warnings about parts of installed packages as one line, without the code location."""
+    """Show warnings about plugins in installed packages as one line, without the code location."""
     with warnings.catch_warnings():
         others = warnings.showwarning
 
@@ -215,7 +215,7 @@ def _plain_warnings() -> Iterator[None]:
 
 
 def _print_offered() -> None:
-    """Print the names that installed packages add to the names in the help of a command."""
+    """Print names of plugins in installed packages that a command accepts."""
     from tissue.scene.plugins import offered_names
 
     if offered := offered_names():
@@ -226,7 +226,7 @@ def _print_offered() -> None:
 
 
 def _place(file: object) -> tuple[str, str]:
-    """Return the kind of file that could not be written, and how to choose another location."""
+    """Return a name for a file that could not be written, and advice for another location."""
     from meshes.base.cache import cache_folder
 
     warp = sys.modules.get("warp")
@@ -249,7 +249,7 @@ def _refuse(sentence: str, *, code: int = BAD_INPUT) -> NoReturn:
 
 
 def _usage(error: CycloptsError) -> str:
-    """Return one sentence for a command line that cannot be parsed."""
+    """Return one sentence that explains why a command line cannot be parsed."""
     from meshes.base.hints import nearest
 
     command = " ".join(["tissue", *(error.command_chain or ())])
@@ -282,7 +282,7 @@ def _options(arguments: Iterable[Argument]) -> list[str]:
 
 
 def _other_use(word: str, known: list[str]) -> str:
-    """Return where an unknown option exists, or how to set a key of the scene; else no text."""
+    """Return advice on an unknown option: a command that has it, or a scene key; else ""."""
     commands = [name for name in app if not name.startswith("-") and app[name].default_command]
     holders = [
         f"`tissue {name}`"

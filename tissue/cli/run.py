@@ -62,7 +62,7 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
 
 
 def _scheduling_rows(summary: "Summary") -> Iterator[tuple[str, str]]:
-    """Yield rows on scheduling gaps, kernel launches and background work of a run in real time."""
+    """Yield rows (title, text) on the scheduling of a run in real time."""
     if "late_us" not in summary:
         return
     if (gaps := summary.get("machine_gaps")) is not None:
@@ -81,7 +81,7 @@ def _scheduling_rows(summary: "Summary") -> Iterator[tuple[str, str]]:
 
 
 def _ends(figures: dict[str, dict[str, float]], unit: str) -> str:
-    """Return a text with the ends of the 90 % uncertainty bands of peak and mean."""
+    """Return a text with the 90 % uncertainty intervals of peak and mean."""
     peak, mean = (
         f"{figures[name]['p05']:.3g}–{figures[name]['p95']:.3g}"
         for name in ("peak", "mean_in_contact")
@@ -92,20 +92,22 @@ def _ends(figures: dict[str, dict[str, float]], unit: str) -> str:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class SceneOptions:
-    """Options that change the scene.
+    """Command-line options that change the scene.
 
     Attributes
     ----------
     seed
-        Seed of all random draws of a run with a device, and of the samples of an uncertainty band.
+        Seed of all random draws: of the simulated hand in a run with a device, and of an
+        uncertainty band.
     duration_s
-        Simulated time in seconds. Default: the whole motion. With a hand, the reaction time of the
-        hand (less than 1 s) is added.
+        Simulated time in seconds. Default: the duration of the motion. If a simulated hand moves
+        the tool, the reaction time of the hand (less than 1 s) is added.
     set_
         KEY=VALUE replaces an entry of the scene, such as voxels.spacing_mm=0.2; may be repeated.
     fidelity
-        Requirement: force_error=0.03 (relative error) or tick_ms=0.7. The fastest settings on this
-        machine that meet the requirement are used. May be repeated.
+        Requirement on the accuracy or the speed: force_error=0.03 (relative force error) or
+        tick_ms=0.7 (longest tick). The run uses settings that meet the requirement on this machine.
+        May be repeated.
     """
 
     seed: MaybeWhole = None
@@ -117,7 +119,7 @@ class SceneOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class EngineOptions:
-    """Options of the computation; the fields are arguments of `tissue.simulate`.
+    """Command-line options for the computation.
 
     Attributes
     ----------
@@ -126,11 +128,11 @@ class EngineOptions:
     cores
         Processor cores to use; default all. The trace does not depend on their number.
     max_memory_GB
-        Memory that a file of the scene may take, in GB; default half of the free memory.
+        Memory that an input file of the scene may take, in GB; default half of the free memory.
     overwrite
         Replace the run that the folder already holds.
     allow_unstable
-        Run the device even if its coupling is predicted to be unstable.
+        Run even if the coupling between device and tool is predicted to be unstable.
     """
 
     compute: str = "cpu"
@@ -143,15 +145,15 @@ class EngineOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class FileOptions:
-    """Options of the output.
+    """Command-line options for the output files.
 
     Attributes
     ----------
     out
         Output folder (default: runs/NAME).
     format_
-        Additional format: parquet, npz, mat or h5 for the trace, or recording for an HDF5 file in
-        the layout of volumetric_drilling; may be repeated.
+        Additional format of the trace: parquet, npz, mat or h5. Or recording: an HDF5 file in the
+        layout of the simulator volumetric_drilling. May be repeated.
     pictures
         Format of the pictures: png, svg or pdf. In svg and pdf, lines and text are vectors; 3D
         views are images with 400 pixels per inch.
@@ -168,22 +170,22 @@ class FileOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class BandOptions:
-    """Options of an uncertainty band; all fields except the first are arguments of `Run.band`.
+    """Command-line options for uncertainty bands.
 
     Attributes
     ----------
     band
-        Compute 50 and 90 % uncertainty bands of forces, torques and figures from this number of
-        samples of the constants in their ranges, such as 200.
+        Number of samples of the material constants in their published ranges, such as 200. From
+        these samples, 50 and 90 % uncertainty bands of forces, torques and summary values are
+        computed.
     workers
-        With --band: number of processes that run samples in parallel, if each sample is a separate
-        run.
+        With --band: number of parallel processes, if each sample needs a run of its own.
     scheduler
         With --band: run the samples on the workers of the Dask scheduler at tcp://HOST:PORT or
         tls://HOST:PORT.
     each_run
-        With --band: run every sample instead of reweighting the loads of one run. Temperature and
-        stress then have bands too.
+        With --band: run the scene for every sample, instead of computing the loads of all samples
+        from one run. Only then do temperature and stress have bands too.
     """
 
     band: MaybeWhole = None
@@ -195,23 +197,24 @@ class BandOptions:
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class LiveOptions:
-    """Options of a run in real time.
+    """Command-line options for a run in real time.
 
     Attributes
     ----------
     live
-        Run in real time in a window; mouse and keys move the tool. Without a display, the scripted
-        motion moves the tool.
+        Run in real time in a window, in which mouse and keys move the tool. Without a display, no
+        window opens, and the tool follows the motion in the scene.
     web
-        With --live: show the run in a browser on this machine instead of a window; the address is
-        printed.
+        With --live: show the run in a browser on this machine instead of a window. The address of
+        the page is printed.
     slicer
         With --live: publish the run with OpenIGTLink, for 3D Slicer and other programs on this
         machine.
     slicer_port
         With --slicer: port for OpenIGTLink; default 18944.
     slicer_drives
-        With --slicer: the transform tissue-target of 3D Slicer moves the tool. No window opens.
+        With --slicer: the transform named tissue-target in 3D Slicer moves the tool. No window
+        opens.
     ros2
         With --live: publish pose, velocity and force on ROS 2 topics, such as /tissue/measured_cp.
     """
@@ -297,7 +300,7 @@ def run(
 
 
 def _overrides(options: SceneOptions) -> dict[str, Any]:
-    """Return the entries of the scene that options replace, keyed by scene key."""
+    """Return the values that the options set, keyed by scene key."""
     from tissue.scene.load import parse_override, parse_overrides
 
     overrides = parse_overrides(options.set_)
@@ -310,9 +313,10 @@ def _overrides(options: SceneOptions) -> dict[str, Any]:
 
 
 def _load(scene: str, overrides: dict[str, Any], *, live: bool, by_hand: bool) -> "Scene":
-    """Load the scene.
+    """Load the scene with the options applied.
 
-    The tool of a live run is moved by a page, by 3D Slicer, or by a window if there is a display.
+    `live` is True for a run in real time. Its tool is moved in a browser or in 3D Slicer if
+    `by_hand` is True. Otherwise it is moved in a window if there is a display.
     """
     from tissue.scene.load import load_scene
     from tissue.system.offscreen import await_display
@@ -326,7 +330,7 @@ def _live_settings(options: LiveOptions, duration_s: float | None) -> "LiveSetti
     Raises
     ------
     InputError
-        If an option has no effect, or the package for the server of the page is not installed.
+        If an option has no effect, or the package for the web server is not installed.
     """
     if not options.live:
         remedy = "give --live, or show a finished run by `tissue view DIR --web`"
@@ -356,7 +360,7 @@ def _live_settings(options: LiveOptions, duration_s: float | None) -> "LiveSetti
 
 
 def _refuse_unused(scene: "Scene", engine: EngineOptions) -> None:
-    """Refuse options that the scene does not use."""
+    """Raise an error if an option has no effect in the scene."""
     idle = engine.allow_unstable and scene.device is None
     left_out("without a device", "set device = touch, or remove it", allow_unstable=idle)
     if scene.anatomy.kind in ("wall", "layers"):
@@ -370,7 +374,7 @@ def _refuse_unused(scene: "Scene", engine: EngineOptions) -> None:
 
 
 def _check_band(scene: "Scene", options: BandOptions, *, live: bool) -> None:
-    """Check that the band can be computed; without --band, refuse options of uncertainty bands."""
+    """Check the options for uncertainty bands; without --band, there must be none."""
     if options.band is None:
         left_out("without --band", "give --band 200, or remove it", **asdict(options))
         return

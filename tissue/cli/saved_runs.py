@@ -23,27 +23,27 @@ def assess(
     out: Path | None = None,
     overwrite: Flag = False,
 ) -> None:
-    """Assess a trainee's run against a reference run of the same scene, or rank trainees.
+    """Compare a trainee's run with a reference run of the same scene, or rank trainees.
 
     Parameters
     ----------
     folder
         Folder of the trainee's run, written by `tissue run`. To rank trainees: a folder that
-        contains one folder for each trainee. A trainee's folder is a run, or contains the runs of
-        all attempts.
+        contains one folder for each trainee. A trainee's folder is the folder of a run, or contains
+        one such folder for each attempt.
     against
         Folder of the reference run.
     force_limit_n
         Force that should not be exceeded, in newtons; default 1.25 times the peak force of the
         reference run.
     deviation_limit_mm
-        Distance from the path of the reference run that should not be exceeded where one of the
-        runs touches the tissue, in mm; default 1.
+        Distance from the path of the reference run that should not be exceeded, in mm; default 1.
+        It applies where the tool of either run touches the tissue.
     overshoot_limit_mm
         Largest allowed distance of the tip below the deepest point of the reference run, in mm;
         default 0.5.
     out
-        Output folder for the picture and the figures. Without this option, the figures are only
+        Output folder for the picture and the results. Without this option, the results are only
         printed.
     overwrite
         Replace the assessment or ranking that the folder already holds.
@@ -81,20 +81,20 @@ def compare(
     format_: Formats = (),
     overwrite: Flag = False,
 ) -> None:
-    """Compare the scenes, figures and forces of runs with those of the first run.
+    """Compare scenes, results and forces of runs with the first run.
 
     Parameters
     ----------
     folders
         Folders of two or more runs that `tissue run` wrote.
     out
-        Folder for the picture and the table; without this option, the figures are only printed.
+        Folder for the picture and the table. Without this option, the results are only printed.
     over
-        Horizontal axis of the picture: time, or depth of the tool's tip below its first contact;
-        default depth if the tools mainly advance along their axes.
+        Horizontal axis of the picture: time, or depth of the tool's tip below the point of first
+        contact. The default is depth if all tools mainly advance along their axes, otherwise time.
     format_
-        Format of the picture, png, svg or pdf, or of one table with the traces of all runs,
-        parquet, npz, mat or h5; may be repeated.
+        Format of the picture: png, svg or pdf; default png. Or format of one table with the traces
+        of all runs: parquet, npz, mat or h5. May be repeated.
     overwrite
         Replace the comparison that the folder already holds.
     """
@@ -140,8 +140,8 @@ def report(
     out
         HTML file to write; default report.html in the folder of the run.
     against
-        Folder of a reference run. If it is given, the report contains an assessment against this
-        run.
+        Folder of a reference run. If it is given, the report also contains a comparison with this
+        run, as `tissue assess` makes it.
     overwrite
         Replace an existing file.
     """
@@ -155,18 +155,18 @@ def report(
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class DrawingOptions:
-    """Options of the drawing; the fields are those of `tissue.show.viewer.run_scene.Choice`.
+    """Command-line options for the drawing.
 
     Attributes
     ----------
     hide
-        Layer or part that is hidden at the start; may be repeated.
+        Name of a tissue layer or organ part that is hidden at first; may be repeated.
     field
-        Field that is shown at the start, for example von_mises_MPa.
+        Computed field that is shown at first, for example von_mises_MPa.
     scale
-        Factor by which the drawn displacement is multiplied at the start.
+        Factor by which the drawn displacement is multiplied at first.
     time_s
-        Time that is shown at the start, in seconds; default the time of the largest force.
+        Time that is shown at first, in seconds; default the time of the largest force.
     clean
         With --screenshot: draw only the tissue, on a transparent background.
     """
@@ -188,20 +188,22 @@ def view(
     web: Flag = False,
     overwrite: Flag = False,
 ) -> None:
-    """Show a run, or an imported bone on which a click sets the site, in a window.
+    """Show a run or an imported bone in a window.
 
     Parameters
     ----------
     folder
-        Folder of a run or an import, written by `tissue run` or `tissue import`.
+        Folder that `tissue run` or `tissue import` wrote. For an import, a click on the bone sets
+        the place where the tool works.
     screenshot
         Write a picture to this .png file instead of opening a window.
     movie
         Write a movie to this .mp4 or .gif file instead of opening a window.
     web
-        Show the run in a browser on this machine instead of a window; the address is printed.
+        Show the run in a browser on this machine instead of a window. The address of the page is
+        printed.
     overwrite
-        Replace an existing file of the screenshot or movie.
+        Replace an existing file.
     """
     from tissue.show.viewer.run_scene import Choice
     from tissue.show.viewer.view import view as show

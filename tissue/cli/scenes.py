@@ -8,14 +8,14 @@ from tissue.cli.terminal import Flag, console, left_out
 
 
 def scenes(name: str | None = None, /, *, out: Path | None = None, overwrite: Flag = False) -> None:
-    """List the named scenes, or print one of them as TOML, which can be copied and edited.
+    """List the scenes that have names, or print one scene as TOML, to be copied and edited.
 
     Parameters
     ----------
     name
         Name of the scene to print.
     out
-        File to which the scene is written instead of printing it.
+        File to write instead of printing the scene.
     overwrite
         Replace an existing file.
     """
@@ -37,12 +37,12 @@ def scenes(name: str | None = None, /, *, out: Path | None = None, overwrite: Fl
 
 
 def schema(*, out: Path | None = None, overwrite: Flag = False) -> None:
-    """Print the JSON schema of scenes; editors use it to complete and check keys.
+    """Print the JSON schema of scene files, with which editors complete and check keys.
 
     Parameters
     ----------
     out
-        File to which the schema is written instead of printing it.
+        File to write instead of printing the schema.
     overwrite
         Replace an existing file.
     """

@@ -15,12 +15,12 @@ def serve(
     step_ms: Whole = 1,
     reach_mm: float | None = None,
 ) -> None:
-    """Receive tool poses from another program and send back the wrench on the tool.
+    """Receive poses of the tool from another program, and send back force and torque.
 
-    The other program, such as a robot simulator or a game engine, sends the pose of the tool and
-    receives force and torque from the tissue of a scene. Each pose is one step of simulated time.
-    The velocity of the tool is the change of its pose divided by the duration of the step. Ctrl-C
-    ends the server. Not for clinical use.
+    The other program, such as a robot simulator or a game engine, moves the tool of a scene. For
+    each pose that it sends, the tissue is simulated for one step, and the program receives force
+    and torque on the tool. The velocity of the tool is computed as change of the pose divided by
+    the duration of the step. Ctrl-C ends the server. Not for clinical use.
 
     Parameters
     ----------
@@ -29,14 +29,16 @@ def serve(
     set_
         KEY=VALUE replaces an entry of the scene; may be repeated.
     address
-        udp://HOST:PORT or ws://HOST:PORT; default udp://127.0.0.1:24930.
+        Address at which poses are received: udp://HOST:PORT or ws://HOST:PORT; default
+        udp://127.0.0.1:24930.
     ros2
         Receive poses on the ROS 2 topic /tissue/servo_cp instead of an address.
     step_ms
         Simulated time of a step, in whole milliseconds.
     reach_mm
-        Distance from the path of the scene, across the axis of the tool, within which tissue is
-        prepared, in mm; default 2. The path determines the depth.
+        Distance from the path in the scene within which tissue is prepared, in mm; default 2. It is
+        measured perpendicular to the axis of the tool. The tissue is prepared down to the deepest
+        point of the path.
     """
     from tissue.links.pose_server import serve_network, serve_ros2
     from tissue.objects.loop import Loop

@@ -16,12 +16,12 @@ def stability(
     only: Texts = (),
     overwrite: Flag = False,
 ) -> None:
-    """Report the stability of the device in a scene, or make the stability atlas.
+    """Report the stability of the haptic device in a scene, or make the stability atlas.
 
-    With a scene, the command reports whether the coupling between device and tool is stable, and
-    computes a map of stable stiffnesses over damping and delay. Without a scene, it makes the
-    atlas. Each page of the atlas shows a case in which one method fails. The atlas takes about
-    three minutes.
+    With a scene, the command reports whether the coupling between device and tool is stable. It
+    also computes a map of the largest stable stiffness over damping and delay. Without a scene, it
+    makes the atlas in about three minutes. Each page of the atlas shows a case in which one method
+    of force rendering fails.
 
     Parameters
     ----------
@@ -30,10 +30,10 @@ def stability(
     set_
         KEY=VALUE replaces an entry of the scene, such as device=six-dof; may be repeated.
     out
-        Output folder. With a scene: folder for the picture and the data of the map; without this
-        option, the map is only printed. For the atlas, the default is atlas.
+        Output folder. With a scene: folder for the picture and the data of the map; default none.
+        For the atlas, the default is the folder atlas.
     only
-        Make only this page of the atlas, such as wall_map; may be repeated.
+        Name of a page of the atlas, such as wall_map. Only this page is made. May be repeated.
     overwrite
         Replace the map or the atlas that the folder already holds.
     """

@@ -18,28 +18,28 @@ study = App(
     help="Compare methods of rendering force over many trials, and report what they show.",
 )
 LINES_S = 60.0
-"""Time between two lines of progress if the output is not a terminal [s]; a study takes an hour."""
+"""Time between two printed lines of progress if the output is not a terminal [s]."""
 Names = Annotated[tuple[str, ...], Parameter(negative="", consume_multiple=True)]
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
 class PlanOptions:
-    """Options of the plan of a study.
+    """Command-line options for the plan of a study.
 
     Attributes
     ----------
     trials
-        Number of trials for each task and group; an existing study can be extended.
+        Number of trials for each task and group. A larger number than before extends an existing
+        study.
     tasks
-        Tasks among T1 (palpation), T2 (wall), T3 (milling), needle, reaming and drilling; default
-        all.
+        Tasks: T1 (palpation), T2 (wall), T3 (milling), needle, reaming or drilling; default all.
     methods
-        Methods among penalty, energy, koopman, koopman-look-ahead, koopman-online and
-        koopman-perception; default all. The name of any other registered predictor is also a
-        method.
+        Methods of force rendering: penalty, energy, koopman, koopman-look-ahead, koopman-online,
+        koopman-perception, or the name of a registered predictor. Default: all but registered
+        predictors.
     groups
-        Groups of simulated hands among novice, intermediate and expert; default all.
+        Groups of simulated hands: novice, intermediate or expert; default all.
     seed
         Seed of all random draws.
     """
@@ -51,9 +51,9 @@ class PlanOptions:
     seed: Whole = 0
 
     def plan(self) -> "Plan":
-        """Return the plan of a study from these options.
+        """Return the plan of a study that these options describe.
 
-        Names within one option may be separated by commas.
+        A value of an option may contain several names, separated by commas.
         """
         from tissue.evaluation.study.plan import Plan
 
@@ -81,8 +81,8 @@ def run(
 ) -> None:
     """Run or continue a study; each trial is written to disk when it is complete.
 
-    Before the first trial, the plan (measures, tests, exclusions, seeds, power) is registered in
-    plan.toml.
+    Before the first trial, the plan is registered in plan.toml. The plan contains the outcome
+    measures, the statistical tests and their power, the rules for excluding trials, and the seeds.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def run(
     retry
         Run failed trials again.
     only
-        Run only the trial of this name, such as T1-novice-0007, and print its result.
+        Name of a trial, such as T1-novice-0007. Only this trial is run, and its result is printed.
     """
     from tissue.evaluation.study.folder import StudyFolder, run_study
     from tissue.evaluation.study.plan import TrialKey
@@ -153,7 +153,7 @@ def run(
 
 @study.command(name="plan")
 def register_plan(*, options: PlanOptions = PlanOptions(), out: Path | None = None) -> None:
-    """Register a study without running it; this writes plan.toml.
+    """Write the plan of a study to plan.toml without running the study.
 
     `tissue study run` with the same options then uses this plan.
 
@@ -176,15 +176,15 @@ def register_plan(*, options: PlanOptions = PlanOptions(), out: Path | None = No
 
 @study.command
 def report(folder: Path, /) -> None:
-    """Write tables, figures and their interpretation into the folder of a study.
+    """Write tables, plots and their interpretation into the folder of a study.
 
-    The report shows the figures of the paper for comparison.
+    The report contains the results of the project's paper for comparison.
 
     Parameters
     ----------
     folder
-        Folder of the study, written by `tissue study run`. The report on an unfinished study
-        contains the trials so far.
+        Folder of the study, written by `tissue study run`. For an unfinished study, the report is
+        based on the trials so far.
     """
     with progress() as report:
         from tissue.evaluation.study.report import write_report

@@ -28,36 +28,36 @@ def sweep(
     overwrite: Flag = False,
     allow_unstable: Flag = False,
 ) -> None:
-    """Run a scene at all combinations of values; existing finished runs are kept.
+    """Run a scene with all combinations of given values; finished runs are kept.
 
     Parameters
     ----------
     scene
         Name of a built-in scene (see `tissue scenes`) or a TOML file.
     set_
-        KEY=VALUE,VALUE: values of an entry of the scene, such as voxels.spacing_mm=0.2,0.4; commas
-        in brackets belong to a value; may be repeated.
+        KEY=VALUE,VALUE: values of a scene key, such as voxels.spacing_mm=0.2,0.4. A comma in
+        brackets belongs to a value. May be repeated.
     out
         Folder to write; default sweeps/NAME.
     workers
-        Number of processes; default one per core. A single process gives each run all cores, as
-        `tissue run` does.
+        Number of parallel processes; default one per core. With one process, each run uses all
+        cores.
     compute
-        Device for the kernels: cpu or cuda:0.
+        Device that computes the kernels: cpu or cuda:0.
     cores
-        Processor cores of each run; default one, or all with one process.
+        Processor cores for each run; default one, or all cores if there is one process.
     pictures
         Draw the pictures of each run.
     format_
-        Format of the pictures, png, svg or pdf, or of one table with the traces of all runs,
-        parquet, npz, mat or h5; may be repeated.
+        Format of the pictures: png, svg or pdf; default png. Or format of one table with the traces
+        of all runs: parquet, npz, mat or h5. May be repeated.
     band
-        Number of samples of the constants in their ranges, such as 200. Each run then has
-        uncertainty bands of 50 and 90 %.
+        Number of samples of the material constants in their published ranges, such as 200. If it is
+        given, each run has uncertainty bands of 50 and 90 %.
     overwrite
-        Run existing runs again.
+        Repeat finished runs.
     allow_unstable
-        Run a device even if its coupling is unstable.
+        Run even if the coupling between device and tool is unstable.
     """
     from tissue.objects.sweep import sweep as swept
     from tissue.scene.load import load_scene
@@ -98,7 +98,7 @@ def sweep(
 
 
 def parse_values(texts: Sequence[str]) -> dict[str, list[object]]:
-    """Parse texts such as ``key=value,value``, and return the list of values of each key.
+    """Parse texts such as ``key=value,value``; return the values, keyed by key.
 
     A comma within brackets or quotes belongs to a value.
 

@@ -1,4 +1,4 @@
-"""Consoles, types of options, and checks that all commands share."""
+"""Output to the terminal, types of options, and checks that all commands share."""
 
 from collections.abc import Iterable, Sequence
 from typing import Annotated, Any
@@ -13,12 +13,12 @@ from meshes.base.text_tables import visible, whole_number_in
 class _Terminal(Console):
     """Console that prints text unchanged.
 
-    The console uses no markup unless requested, does not break lines, and prints control characters
-    as codes.
+    The console interprets no markup unless requested, does not wrap lines, and prints control
+    characters as escape codes.
     """
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """Print objects like `Console.print`."""
+        """Print objects as ``rich.console.Console.print`` does."""
         if all(isinstance(each, str) for each in objects):
             objects = tuple(map(visible, objects))
             options = {"soft_wrap": True, "highlight": False} | options
@@ -30,7 +30,7 @@ problems = _Terminal(stderr=True, emoji=False, markup=False)
 
 
 def whole(_: object, tokens: Sequence[Token]) -> int:
-    """Parse a whole number from the command line; other numbers are refused, not rounded."""
+    """Parse a whole number from the command line; raise an error for a fraction."""
     try:
         return whole_number_in(tokens[0].value)
     except ValueError:
@@ -44,16 +44,16 @@ Overrides = Annotated[tuple[str, ...], Parameter(name="--set", negative="")]
 Whole = Annotated[int, Parameter(converter=whole)]
 MaybeWhole = Annotated[int | None, Parameter(converter=whole)]
 ADDRESS = {"hardware.address": "--address"}
-"""Option of a command, keyed by the scene key that the option replaces in messages."""
+"""Command-line options that replace scene keys in messages, keyed by scene key."""
 Numbers = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
-"""Numbers separated by commas; the first number may be negative."""
+"""Type of an option whose value is numbers separated by commas, also with a leading minus."""
 MemoryGB = Annotated[float | None, Parameter(name="--max-memory-GB")]
 
 
 def print_table(
     titles: Sequence[str], rows: Iterable[Sequence[str]], *, caption: str | None = None
 ) -> None:
-    """Print rows of texts below their titles, all but the first column aligned to the right."""
+    """Print a table; all columns but the first are aligned to the right."""
     from rich.table import Table
 
     table = Table(titles[0], title=caption)
@@ -65,12 +65,12 @@ def print_table(
 
 
 def left_out(where: str, remedy: str, **flags: object) -> None:
-    """Refuse options that have no effect in a situation, which the text ``where`` describes.
+    """Raise an error if one of the `flags` is given in a situation where it has no effect.
 
     Raises
     ------
     InputError
-        If one of the options is given. The message contains the option and the remedy.
+        If a flag is given. The message contains the option, the situation `where` and the `remedy`.
     """
     for name, value in flags.items():
         if value is not None and value is not False and value != ():

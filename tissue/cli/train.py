@@ -17,16 +17,16 @@ def train(
     cores: MaybeWhole = None,
     overwrite: Flag = False,
 ) -> None:
-    """Train a predictor of the force of a scene, and validate it on other runs.
+    """Train a predictor of the force in a scene, and validate it on other runs.
 
-    Simulated hands of all groups make the training runs.
+    In the training runs, simulated hands of novices, intermediates and experts move the tool.
 
     Parameters
     ----------
     scene
         Name of a built-in scene, or a TOML file.
     trials
-        Number of runs, at least six. One in four is used for validation.
+        Number of simulated runs, at least six. One run in four is used for validation.
     out
         File to write; default SCENE.npz.
     set_

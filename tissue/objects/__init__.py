@@ -1,4 +1,1 @@
-"""Objects of `import tissue`, which users create, run and show.
-
-No lower layer imports this package.
-"""
+"""Public classes and functions of `tissue`, such as `Bone`, `Loop` and `simulate`."""

@@ -1,6 +1,6 @@
-"""Assessment of trainees' runs against a reference run: `tissue.assess` and `tissue.rank`.
+"""Comparison of trainees' runs with a reference run: `tissue.assess` and `tissue.rank`.
 
-The command `tissue assess` makes the same assessment.
+The command `tissue assess` calls these functions.
 """
 
 from pathlib import Path
@@ -41,7 +41,8 @@ def assess(
 ) -> Assessment:
     """Compare a trainee's run with a reference run of the same scene.
 
-    The runs are aligned by position, so a pause does not count as an error.
+    Dynamic time warping aligns the two paths of the tool by position, not by time. A pause of the
+    trainee therefore does not count as an error.
 
     Parameters
     ----------
@@ -74,7 +75,7 @@ def assess(
 
 @suggests_arguments
 class Ranking(ranking.Ranking):
-    """Trainees in the order of rank: by breaches, then by mean score; ``print`` shows a list."""
+    """Trainees ordered by rank; ``print`` shows a list. See `rank` for the order."""
 
     def __str__(self) -> str:
         return "\n".join(ranking.ranking_lines(self))
@@ -99,14 +100,15 @@ def rank(
     deviation_limit_mm: float = 1.0,
     overshoot_limit_mm: float = 0.5,
 ) -> Ranking:
-    """Order trainees by breaches and by the mean score of their runs of one scene.
+    """Order trainees by the safety and the mean score of their runs of one scene.
 
-    Trainees with a smaller share of runs that breached a structure of ``[keep_clear]`` come first.
-    Trainees with equal shares are ordered by their mean score. The score measures how steady a hand
-    is; see `Assessment.steadiness`. A trainee with three or more attempts also has a learning
-    curve. Three kinds of runs are left out (`Ranking.left_out`): runs of another task, runs without
-    a score, and runs that do not touch the tissue where the reference run does. `Ranking.notes`
-    names differences of scenes and couplings.
+    In a breach, the tool enters a structure that the scene's table ``[keep_clear]`` names. Trainees
+    with a smaller share of runs with a breach come first. Trainees with equal shares are ordered by
+    their mean score. The score measures how steady a hand is; see `Assessment.steadiness`. A
+    trainee with three or more attempts also has a learning curve. Three kinds of runs are left out:
+    runs of a task other than the reference run's, runs without a score, and runs that do not touch
+    the tissue where the reference run does. `Ranking.left_out` lists them. `Ranking.notes` lists
+    differences between the scenes of the runs, including the coupling to the device.
 
     Parameters
     ----------
@@ -122,7 +124,7 @@ def rank(
     Raises
     ------
     InputError
-        If a folder holds no run, or no run can be ranked.
+        If the folder of a trainee or of the reference holds no run, or no run can be ranked.
     """
     found = ranking.rank(
         Path(folder),

@@ -1,4 +1,4 @@
-"""Bone object, made from a file, a block, an array or an image; tools can cut it."""
+"""Bone that tools can cut, made from a surface file, a block, an array or an image."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     from tissue.objects.cutting import Cut, Structures
 
 SHOWN_VOXELS = 4e6
-"""Largest number of voxels for drawing the surface of a bone given by a formula.
+"""Largest number of voxels for drawing the surface of a bone whose shape is a formula.
 
-The surface is drawn before the bone is cut. The voxels of this surface may be coarse: 4 million
-voxels show a ball with about 200,000 triangles.
+This surface shows the bone before any cut. It is computed from voxels that may be coarser than the
+voxels of the bone. With 4 million voxels, a ball has about 200,000 triangles.
 """
 KEY = "anatomy."
-"""Prefix of scene keys in the notes of file readers; `Bone` removes the prefix from its notes."""
+"""Prefix of keys in the notes of file readers; removed, because a `Bone` has no scene."""
 
 
 class BoneOptions(TypedDict, total=False):
@@ -51,22 +51,21 @@ class BoneOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class BoneSource:
-    """Source that makes an uncut bone any number of times.
+    """Data from which uncut copies of a bone are made.
 
     Attributes
     ----------
     voxels
-        Function that makes all voxels, or a store that makes blocks of voxels only where a tool
-        comes near.
+        Function that returns all voxels, or a store that makes voxels only near a tool.
     outer
-        Function that makes the surface before any cut [mm]; None if all voxels are made at the
+        Function that returns the surface before any cut [mm]; None if all voxels are made at the
         start.
     notes
-        Notes on findings and assumptions, keyed by subject.
+        Notes on what was found in the file and what was assumed, keyed by subject.
     density_kg_m3
         Density of a bone with a single density [kg/m3]; None for other bones.
     made_from
-        Shape and densities of a bone whose voxels are made only where a tool comes near.
+        Shape and densities of a bone, if its voxels are made only near a tool.
     """
 
     voxels: "Callable[[], VoxelVolume | BricksOnDemand]"
@@ -78,14 +77,14 @@ class BoneSource:
 
 @suggests_arguments
 class Bone:
-    """Bone in the frame of its file or array [mm].
+    """Bone that tools can cut, in the frame of its file or array [mm].
 
     `from_file`, `block`, `from_array` and `from_image` make a bone.
 
     Attributes
     ----------
     notes
-        Notes on findings and assumptions about a file, keyed by subject.
+        Notes on what was found in the file and what was assumed, keyed by subject.
     spacing_mm
         Edge of a voxel [mm].
     """
@@ -136,8 +135,7 @@ class Bone:
         trabecular_density_kg_m3: float = TRABECULAR_KG_M3,
         **options: Unpack[BoneOptions],
     ) -> "Bone":
-        """Make a bone that fills a closed surface: a cortical shell of even thickness around
-        trabecular bone.
+        """Make a bone from a closed surface: a uniform cortical shell around trabecular bone.
 
         Parameters
         ----------
@@ -211,7 +209,7 @@ class Bone:
         spacing_mm: float = 0.1,
         **options: Unpack[BoneOptions],
     ) -> "Bone":
-        """Make a block of one density, with the origin at the middle of its top face.
+        """Make a block of uniform density, with the origin at the middle of the block's top face.
 
         Parameters
         ----------
@@ -248,12 +246,13 @@ class Bone:
         spacing_mm
             Edge of a voxel [mm].
         origin_mm
-            Position [mm] of that corner of voxel (0, 0, 0) which has the lowest x, y and z.
+            Corner of voxel (0, 0, 0) with the lowest x, y and z [mm].
         layer
-            Index of the layer of each voxel, in an array of the same shape; default 0 everywhere.
+            Index into `layer_names` for each voxel, shape (nx, ny, nz); default 0 everywhere.
         layer_names
             Name of each layer. The layers enamel, dentin, caries, pulp and ligament have cutting
-            coefficients of their own; other layers are cut with the coefficients of `material`.
+            coefficients of their own. The other layers have the coefficients of the option
+            ``material``.
         options
             As for `from_file`.
 
@@ -284,7 +283,7 @@ class Bone:
         max_memory_GB: float | None = None,
         **options: Unpack[BoneOptions],
     ) -> "Bone":
-        """Make a bone of one density where the grey value of an image volume exceeds a threshold.
+        """Make a bone of uniform density from the voxels of an image above a grey value.
 
         The bone lies in the patient's frame (LPS, in millimetres).
 
@@ -298,9 +297,10 @@ class Bone:
         density_kg_m3
             Apparent density of the bone, 50 to 20000 kg/m3.
         spacing_mm
-            Edge of the voxels after resampling [mm]; default the finest spacing of the file. TIFF,
-            PNG and BMP slices contain no spacing: give the spacing of their voxels. Three numbers,
-            one for each axis, replace the spacing in a file of any format.
+            Edge of the bone's voxels [mm], to which the image is resampled; default the finest
+            spacing of the file. For TIFF, PNG and BMP slices, which contain no spacing, give the
+            spacing of the image. Three numbers, one for each axis, replace the spacing of the image
+            in any format.
         max_memory_GB
             Memory that the image may take [GB]; default half of the free memory.
         options
@@ -358,32 +358,34 @@ class Bone:
         tolerance: float = 0.01,
         keep_clear: "Structures | None" = None,
     ) -> "Cut":
-        """Move a rotating tool through poses, remove the swept bone and compute the forces.
+        """Move a rotating tool through poses, remove bone in its path, and compute the forces.
 
-        The bone keeps the cut. A second call with the same tool continues the cut if the first pose
-        of the second call is the last pose of the first call. Between two poses the tool moves
-        along a straight line. The velocity of the tool at a pose is computed from the difference to
-        the previous pose. At the first pose, which has no previous pose, force and torque are
-        therefore 0. Bone that lies inside the tool at the first pose is removed.
+        The removed bone stays removed in later calls. A second call with the same tool continues
+        the cut if its first pose is the last pose of the first call. Between two poses the tool
+        moves along a straight line. The velocity of the tool at a pose is computed from the
+        difference to the previous pose. The first pose has no previous pose, so its force and
+        torque are 0. Bone that lies inside the tool at the first pose is removed.
 
-        A warning is issued if the feed per tooth exceeds 0.1 mm, or if a smooth part of the tool,
-        such as a peg, is pushed into bone. The warning is also in `Cut.notes` and `Cut.events`.
+        A Python warning is issued if the feed per tooth exceeds 0.1 mm, or if a smooth part of the
+        tool, such as a peg, is pushed into bone. `Cut.notes` and `Cut.events` contain the text of
+        the warning too.
 
         Parameters
         ----------
         tool
             Cutter from `tissue.cutters`.
         poses, times_s
-            Poses, and their increasing times [s], shape (n,). Three forms of poses are accepted:
-            tips [mm], shape (n, 3); tips and quaternions (x, y, z, w), shape (n, 7); or matrices
-            from tool frame to bone frame [mm], shape (n, 4, 4). The z axis of the tool runs from
-            tip to shank.
+            Poses of the tool, and the times of the poses [s], increasing, shape (n,). Three forms
+            of poses are accepted: tip positions [mm], shape (n, 3); tip positions and quaternions
+            (x, y, z, w), shape (n, 7); or homogeneous matrices from tool frame to bone frame [mm],
+            shape (n, 4, 4). The z axis of the tool runs from tip to shank.
         axis
-            Direction from tip to shank if the poses are tips only; default z.
+            Direction from tip to shank if the poses are tip positions only; default z.
         depth_mm, tolerance
-            Smallest depth of cut that matters [mm], 0.001 to 100, and accepted relative error of
-            the force at this depth, 0.001 to 0.1. Together they set the number of cutting elements
-            on the tool's surface. The voxels should be smaller than the depth.
+            Depth of cut [mm], 0.001 to 100, and accepted relative error of the force at this depth,
+            0.001 to 0.1. From both, the number of cutting elements on the tool's surface is chosen.
+            Give the smallest depth of cut that matters. The voxels should be smaller than this
+            depth.
         keep_clear
             Closed surfaces that the tool must not touch, keyed by name. Each surface is a file or a
             pyvista surface in the frame of the bone [mm]. The trace has a column
@@ -415,7 +417,7 @@ class Bone:
         )
 
     def require_cutter(self, tool: object) -> None:
-        """Refuse an object that cannot cut this bone."""
+        """Raise an error if an object is not a tool that can cut this bone."""
         from tissue.cutters.cutter import Cutter
 
         if not isinstance(tool, Cutter):
@@ -437,7 +439,7 @@ class Bone:
             )
 
     def uncut(self) -> "Bone":
-        """Return the bone before any cut."""
+        """Return a new bone without cuts, made from the source of this bone."""
         return Bone(self._source, **self._options)
 
     @property
@@ -482,12 +484,11 @@ class Bone:
 
 
 def constants_of(bone: Bone) -> tuple[object, ...]:
-    """Return the constants of a bone: coefficients, voxel grid, shape, and voxels before any cut.
+    """Return the data of a bone that no cut changes; a snapshot is valid only for equal data.
 
-    The last entry holds the materials and filled fractions of the voxels. For a bone whose voxels
-    are made only where a tool comes near, this entry is None and the shape describes the voxels.
-    For other bones, the shape is empty. A snapshot itself holds only the voxels that the tool has
-    reached.
+    The data are the cutting coefficients, the voxel grid, the shape, and for each voxel the
+    material and the filled fraction before any cut. If voxels are made only near a tool, the shape
+    determines them, and material and filled fraction are None.
     """
     made = bone.voxel_bone
     store = made.store
@@ -502,9 +503,9 @@ def constants_of(bone: Bone) -> tuple[object, ...]:
 def _anatomy_source(
     anatomy: Anatomy, *, spacing_mm: float, outer: "Callable[[], pyvista.PolyData] | None" = None
 ) -> BoneSource:
-    """Return the source of an anatomy in its own frame; voxels are made only near a tool.
+    """Return the source of a bone from an anatomy; its voxels are made only near a tool.
 
-    `outer` is as for `BoneSource`.
+    The frame is the frame of the anatomy. `outer` is an argument of `BoneSource`.
     """
     from tissue.models.bone.bricks_on_demand import BricksOnDemand
 

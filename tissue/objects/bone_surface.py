@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 
 MERGED = 1e-3
 SEAM = 3.0
-"""Largest distances between points that are merged, and between loops that are joined [voxels].
+"""Largest distances between points to merge, and between boundary loops to join [voxels].
 
-The points and loops belong to two different parts of a surface. The first distance allows for
-rounding. The second distance allows for the gap that clipping and half-full voxels leave between
-the two parts. Its value is not measured but chosen.
+Two parts of a surface are connected: the surface from the file, and the surface of the voxels near
+the cut. The first distance allows for rounding. The second distance allows for the gap between the
+boundary loops of the two parts. Its value is not measured but chosen.
 """
 NEAR = 0.5
 AGREE = 0.8
 """Limits for the use of normals from the file: largest distance [voxels] and smallest cosine.
 
-A point of a cut bone is shaded with the normal of the nearest point of the file's surface. Both
-limits must hold: for the distance of this point, and for the cosine of the angle between this
-normal and the normal of the voxel surface. The voxel surface is within half a voxel of the surface
-in the file. Across an edge, the normals differ by more than 37 degrees.
+A point of the voxel surface gets the normal of the nearest point of the file's surface if both
+limits hold: for the distance between the two points, and for the cosine of the angle between the
+two normals. Where nothing was cut, the voxel surface is within half a voxel of the file's surface.
+Across a sharp edge, the normals differ by more than 37 degrees.
 """
 
 
@@ -43,8 +43,8 @@ def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.
     bone
         The bone.
     outer
-        Surface before any cut [mm], which is shown where no tool has been. None for a bone whose
-        voxels were all made at the start.
+        Surface of the bone before any cut [mm]. It is used where the bone is not cut. None for a
+        bone whose voxels were all made at the start.
     """
     if outer is None:
         volume, left = bone.whole
@@ -75,7 +75,7 @@ def bone_surface(bone: VoxelBone, outer: "pyvista.PolyData | None") -> "pyvista.
 def _joined(
     outer: "pyvista.PolyData", parts: "list[pyvista.PolyData]", spacing_mm: float
 ) -> "pyvista.PolyData":
-    """Join a file's surface and the contours of the cut parts into one closed surface."""
+    """Join a file's surface and the surfaces of the cut regions into one closed surface."""
     import pyvista
 
     cut = parts[0].append_polydata(*parts[1:]) if parts[1:] else parts[0]
@@ -100,9 +100,9 @@ def _joined(
 
 
 def _moved(surface: "pyvista.PolyData", by_m: Array) -> "pyvista.PolyData":
-    """Return a surface whose points are moved, in double precision.
+    """Return a copy of a surface [mm] that is moved by `by_m` [m], in double precision.
 
-    Single precision would not suffice far from the origin.
+    In single precision, coordinates far from the origin would be rounded too much.
     """
     moved = surface.copy()
     moved.points = np.asarray(surface.points, dtype=np.float64) + 1e3 * by_m
@@ -172,7 +172,7 @@ def plot_surface(surface: "pyvista.PolyData", layer_names: tuple[str, ...], **op
 def _shaded(
     surface: "pyvista.PolyData", *, like: "pyvista.PolyData | None" = None, within_mm: float = 0.0
 ) -> "pyvista.PolyData":
-    """Shade a voxel surface smoothly, with the normals of the file where the bone is unchanged."""
+    """Set smooth normals on a voxel surface; where `like` is near, use the normals of `like`."""
     import pyvista
 
     if not surface.n_cells:
@@ -201,7 +201,7 @@ def _without(outer: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.PolyDat
 
 
 class Removed:
-    """Bone that tools have removed up to the time of the call."""
+    """Bone that tools have removed so far."""
 
     def __init__(self, bone: VoxelBone) -> None:
         self._bone = bone

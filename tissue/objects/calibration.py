@@ -1,4 +1,4 @@
-"""Calibration of force perception, and simulated observers: `tissue.calibration`."""
+"""Calibration of a person's force perception, and simulated persons: `tissue.calibration`."""
 
 from pathlib import Path
 from typing import Any
@@ -42,23 +42,23 @@ __all__ = [
 
 @suggests_arguments
 def people(group: str, count: int, *, seed: int = 0) -> SimulatedObservers:
-    """Return simulated observers of a group, drawn from the distributions in the literature.
+    """Return random simulated observers of a user group.
 
-    A simulated observer is a model of a person's perception. The groups are novice, intermediate
-    and expert.
+    A simulated observer is a model of a person's force perception. Its parameters are drawn from
+    distributions in the literature. The groups are novice, intermediate and expert.
     """
     return draw_observers(group, count, np.random.default_rng(seed))
 
 
 def alike(count: int, **truth: float) -> SimulatedObservers:
-    """Return identical simulated observers: copies of the reference observer with given changes.
+    """Return identical simulated observers: copies of the reference observer, with changes.
 
     Parameters
     ----------
     count
         Number of observers.
     truth
-        Attributes of `SimulatedObservers` to change, such as ``kappa=0.07, beta=1.7``.
+        Values that replace attributes of `SimulatedObservers`, such as ``kappa=0.07, beta=1.7``.
 
     Raises
     ------
@@ -90,23 +90,26 @@ def run(
     Parameters
     ----------
     answer
-        Function that answers a question. The function is called with the question (a `Comparison`
-        or a `Magnitude`) and the number of the trial. ``simulated_answers(people, seed)`` returns
-        such a function. A function of your own may play the forces to a person.
+        Function that answers one question. It is called with the question (a `Comparison` or a
+        `Magnitude`) and the number of the trial. ``simulated_answers(people, seed)`` returns such a
+        function. Your own function may play the forces on a device and return the answer of a
+        person.
     log
-        File that receives every answer before the next question. The session continues after the
-        last answer in this file.
+        File to which each answer is written before the next question. If the file exists, the
+        session continues after the last answer in it.
     name
         Name of the person who answers.
     plan
-        Plan of the questions; default 120 comparisons and 24 magnitudes.
+        Plan of the questions; default 120 comparisons of two forces, and 24 forces to rate with a
+        number.
     trials
-        Number of trials after which the session stops, to be continued later; default all trials.
+        Number of trials after which the session stops; default all trials. A later call continues
+        the session.
 
     Raises
     ------
     InputError
-        If the log belongs to another session, or an answer is impossible.
+        If the log belongs to another session, or `answer` returns an invalid answer.
     """
     kept = TrialLog(Path(log), name, plan or Plan())
     try:
@@ -120,7 +123,7 @@ def run(
 
 @suggests_arguments
 def estimated_webers(crowd: SimulatedObservers, *, trials: int = 120, seed: int = 0) -> Array:
-    """Estimate the Weber fractions of n observers, shape (n,), from a session of comparisons."""
+    """Estimate the Weber fraction of each observer, shape (n,), from simulated comparisons."""
     rng = np.random.default_rng(seed)
     found = AdaptiveThreshold(observers=len(crowd))
     for _ in range(trials):
@@ -138,22 +141,22 @@ def share_right(
     seed: int,
     calibrated_by: int | None = None,
 ) -> Array:
-    """Compute each observer's share of correct answers, shape (n,), in 100 comparisons.
+    """Simulate 100 comparisons for each observer; return the shares of correct answers, shape (n,).
 
     An answer is correct if it names the larger of the two forces.
 
     Parameters
     ----------
     crowd
-        Observers. Equal seeds give the observers the same noise.
+        Observers that compare the two forces.
     first_N, second_N
         The two forces at the device [N], at most 3.3 N.
     seed
-        Seed of the noise, and of the magnitudes in a calibration.
+        Seed of the observers' noise, and of the reported numbers in a calibration.
     calibrated_by
-        Number of magnitudes that each observer reports in a calibration. The forces are scaled for
-        the observer by the result of this calibration. With 0 the forces are scaled by the
-        observer's true exponent and factor. With None the forces are not scaled.
+        Number of forces that each observer rates in a calibration before the comparisons. The
+        result of this calibration scales the two forces for the observer. With 0, the observer's
+        true exponent and factor scale the forces. With None, the forces are not scaled.
     """
     commands = None
     if calibrated_by is not None:
@@ -166,9 +169,9 @@ def share_right(
 
 @suggests_arguments
 def change_percent(before: Array, after: Array, *, seed: int = 0) -> Effect:
-    """Compute the change [%] of the mean from the shares `before` to the paired shares `after`.
+    """Compute the change [%] of a mean share between two conditions, with a 95 % interval.
 
-    Both arrays have shape (n,). The attribute ``value`` of the result is the estimate; ``low`` and
-    ``high`` are the ends of its 95 % interval.
+    `before` and `after` contain the share of each of n observers, shape (n,), in the same order.
+    The result has the change as ``value``, and the ends of the interval as ``low`` and ``high``.
     """
     return gain_of(before, after, np.random.default_rng(seed))

@@ -1,4 +1,4 @@
-"""Comparison of several runs: differences of scenes and figures, plots, and all traces."""
+"""Comparison of several runs: scenes, summary values, plots and traces."""
 
 import csv
 from collections import Counter
@@ -34,31 +34,31 @@ PLOTTED = (
     *(f"compare.{kind}" for kind in PICTURE_FORMATS),
     *(f"traces.{kind}" for kind in FORMATS),
 )
-"""Files of the plot and of all traces, for each format."""
+"""Names of the files of the plot and of the table of traces, for each format."""
 FILES = ("compare.csv", *PLOTTED)
 KIND = "comparison"
-"""Kind of output that is written to the marker file of the output folder."""
+"""Kind of output, as written to the file that marks the output folder."""
 LONGEST_VALUE = 60
-"""Largest number of characters that a line uses for the value of a scene key."""
+"""Largest number of characters of a scene key's value in the printed lines."""
 LONGEST_LABEL = 40
-"""Largest number of characters of a legend entry that shows how a run differs."""
+"""Largest number of characters of a legend entry; longer ones are replaced by the run's name."""
 DESCRIBING = ("name", "description")
-"""Keys of a scene that have no effect on its run."""
+"""Scene keys that have no effect on a run."""
 BUILT_IN_IF_EMPTY = ("materials", "device.coupling.predictor_file")
-"""Keys of files. If the value is empty, a built-in file is used."""
+"""Scene keys that name a file; if the value is empty, a built-in file is used."""
 OUTSIDE = {"tissue": "version of tissue", "compute": "compute device", "machine": "machine"}
-"""Entries of a summary, other than the scene, that affect a run or the duration of its ticks."""
+"""Entries of a run's summary, outside the scene, that can change results or tick times."""
 Legend = Literal["values", "names", "both"]
-"""Texts in a legend: values that differ between the runs, names of the runs, or both."""
+"""Text for each run in a legend: values that differ between the runs, name of the run, or both."""
 
 
 class Comparison:
-    """Comparison of runs; the first run is the reference for the other runs.
+    """Comparison of runs; all runs are compared with the first run.
 
     Parameters
     ----------
     runs
-        At least two runs, by name.
+        At least two runs, keyed by name.
     legend
         Texts in the legend of the figure: ``values`` that differ between the runs, ``names`` of the
         runs, or ``both``.
@@ -66,15 +66,14 @@ class Comparison:
     Attributes
     ----------
     runs
-        The runs by name.
+        The runs, keyed by name.
     figures
         Figures (numbers that summarise a run) of each run: peak and mean force, removed volume and
         so on, with the unit in each name.
     scene_differences
-        Keys of the scenes that differ, with the value of each run; None for a missing value.
+        Values of all runs for each scene key whose values differ; None for a missing value.
     notes
-        Sentences on other facts that limit the comparison, such as a run that did not reach its
-        end.
+        Sentences on facts that limit the comparison, such as a run that ended early.
     """
 
     def __init__(self, runs: Mapping[str, Run], *, legend: Legend = "values") -> None:
@@ -90,10 +89,10 @@ class Comparison:
         self._legend = legend
 
     def rows(self) -> tuple[list[str], list[tuple[str, list[float | None]]]]:
-        """Return column titles, and for each figure its name and the values of all runs.
+        """Return the table of summary values: column titles, and name and numbers of each row.
 
-        The first run's value comes first. Each other run adds three numbers: its value, the
-        difference from the first run's value, and the ratio of this difference to the first run's
+        A row has the value of the first run. For each other run it also has three numbers: the
+        value, the difference from the first run, and this difference divided by the first run's
         value.
         """
         first, *others = self.runs
@@ -113,10 +112,9 @@ class Comparison:
         return titles, found
 
     def texts(self) -> tuple[list[str], list[list[str]]]:
-        """Return column titles and rows of a readable table of the figures that differ.
+        """Return column titles and rows of a readable table of the summary values that differ.
 
-        The value of each further run is followed by its relative difference from the value of the
-        first run.
+        For each run but the first, a cell also contains the relative difference from the first run.
         """
         _, rows = self.rows()
         found = []
@@ -129,9 +127,9 @@ class Comparison:
         return ["figure", *self.runs], found
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Return the table of `rows` as a DataFrame, with one row per figure.
+        """Return the table of `rows` as a DataFrame, with one row per summary value.
 
-        The differences of the scenes are in the attribute ``attrs`` of the DataFrame.
+        `scene_differences` is in ``attrs["scene_differences"]`` of the DataFrame.
 
         Raises
         ------
@@ -163,7 +161,7 @@ class Comparison:
 
         Returns
         -------
-        The panels, shape (panels,).
+        Matplotlib axes, one for each panel, shape (panels,).
 
         Raises
         ------
@@ -187,8 +185,8 @@ class Comparison:
     def _labels(self) -> list[str]:
         """Return one text for each run, for the legend of the plot.
 
-        The texts are the values of the keys that differ, or the names of the runs if the values are
-        long.
+        A text contains the values of the scene keys that differ. If two of these texts are equal or
+        one is too long, the names of the runs are returned instead.
         """
         if self._legend == "names":
             return list(self.runs)
@@ -209,8 +207,9 @@ class Comparison:
     def traces(self) -> "dict[str, NDArray[Any]]":
         """Return the traces of all runs as one table, one row per tick.
 
-        The first columns are the name of the run and the keys that differ, with ``_`` in place of
-        each dot. If a run does not have a column, its rows contain NaN, or ``none`` for the layer.
+        The first columns are the name of the run and the values of the scene keys that differ. In
+        the names of these columns, ``_`` replaces each dot. A column that a run does not have
+        contains NaN in the run's rows, or ``none`` if the column contains layer names.
         """
         import numpy as np
 
@@ -244,12 +243,12 @@ class Comparison:
         Parameters
         ----------
         out
-            Folder.
+            Folder to write.
         over
             As for `plot`.
         formats
-            Formats of the plot, png, svg or pdf (default png), and of the traces, parquet, npz, mat
-            or h5 (default: traces are not written).
+            Formats of the plot: png, svg or pdf; default png. Formats of the traces: parquet, npz,
+            mat or h5; without one of these, traces are not written.
         overwrite
             True to replace a comparison that the folder already contains.
 
@@ -271,7 +270,7 @@ class Comparison:
     def write_plotted(
         self, out: Path, *, over: "Over | None" = None, formats: Iterable[str] = ()
     ) -> list[Path]:
-        """Write the plot and the traces of all runs; see `save`."""
+        """Write the plot and the traces of all runs into a folder; see `save`."""
         from matplotlib import pyplot
 
         from tissue.show.figures.figure import save
@@ -289,7 +288,7 @@ class Comparison:
         return written
 
     def lines(self) -> list[str]:
-        """Return lines on differing scene keys, on equal figures, and on other differences."""
+        """Return lines on scene keys that differ and on equal summary values, and the notes."""
         found = [
             f"{key}: {_each(self.runs, [_named(key, value) for value in values])}"
             for key, values in self.scene_differences.items()
@@ -326,7 +325,7 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
     runs
         At least two runs, or folders of runs.
     names
-        Names of the runs; default the names of their folders, or of their scenes.
+        Names of the runs; default the names of the runs' folders, or of the scenes without folders.
 
     Raises
     ------
@@ -349,7 +348,7 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
 
 
 def split_formats(formats: Iterable[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Split formats into the formats of plots (default png) and the formats of tables.
+    """Split file formats into the formats of plots and the formats of tables.
 
     Raises
     ------
@@ -368,7 +367,7 @@ def split_formats(formats: Iterable[str]) -> tuple[tuple[str, ...], tuple[str, .
 
 
 def shortened(key: str, values: Sequence[Any]) -> Sequence[Any]:
-    """Return values for a legend: file names instead of paths, unless two files share a name."""
+    """Replace file paths by file names if these stay distinct; keep other values."""
     if not names_file(full_key(key)):
         return values
     names = [None if value is None else Path(str(value)).name for value in values]
@@ -383,12 +382,12 @@ def write_rows(path: Path, titles: Sequence[str], rows: Iterable[Sequence[object
 
 
 def _number(value: float | None) -> str:
-    """Return a number of a table as text; empty for None."""
+    """Return a number as text for a table cell; empty for None."""
     return "" if value is None else f"{value:.4g}"
 
 
 def _figures(run: Run) -> dict[str, float]:
-    """Return the figures of a run, or of its trace if the run did not reach its end."""
+    """Return the summary values of a run; if the run ended early, compute them from its trace."""
     if run.status == "complete":
         return figures_of(run.summary)
     try:
@@ -400,7 +399,7 @@ def _figures(run: Run) -> dict[str, float]:
 
 
 def _notes(runs: Mapping[str, Run], figures: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
-    """Yield notes on incomplete runs, and on differences that are not in the scenes."""
+    """Yield notes on incomplete runs, and on differences between runs outside their scenes."""
     for name, run in runs.items():
         if run.status != "complete":
             origin = "Its time and loads are from its trace"
@@ -427,7 +426,7 @@ def _notes(runs: Mapping[str, Run], figures: Mapping[str, Mapping[str, float]]) 
 
 
 def _each(names: Iterable[str], values: Iterable[object]) -> str:
-    """Return the value of each run as text."""
+    """Return one text with the name and the value of each run."""
     pairs = zip(names, values, strict=True)
     return ", ".join(f"{name} {_short(value)}" for name, value in pairs)
 
@@ -446,10 +445,9 @@ def _stated(key: str, value: object, keys: Iterable[str]) -> str:
 
 
 def _names(runs: list[Run]) -> list[str]:
-    """Return the names of runs by their folders or scenes; equal names are numbered.
+    """Return names for runs, taken from their folders or scenes; equal names are numbered.
 
-    If runs in folders of equal names lie in different parent folders, the names of these parents
-    are used.
+    If all runs are in different folders, the names are the parts of the folders' paths that differ.
     """
     plain = [run.scene.name if run.path is None else run.path.resolve().name for run in runs]
     folders = [run.path.resolve().parts for run in runs if run.path is not None]
@@ -468,7 +466,7 @@ def _names(runs: list[Run]) -> list[str]:
 
 
 def _named(key: str, value: object) -> object:
-    """Return the value of a scene key; an empty file name is replaced by a word for its meaning."""
+    """Return the value of a scene key for display; an empty file name becomes ``built-in``."""
     return "built-in" if value == "" and key in BUILT_IN_IF_EMPTY else value
 
 

@@ -1,4 +1,4 @@
-"""Cut of a tool through poses in bone: poses, structures to keep clear of, and its result."""
+"""Cut of a tool in bone along given poses, with its result."""
 
 import re
 import warnings
@@ -39,13 +39,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NAME = re.compile("[a-z0-9][a-z0-9_]*")
-"""Pattern of the names of structures. The key `keep_clear.names` of a scene has the same pattern.
-"""
+"""Pattern of a valid name of a structure that the tool must not touch."""
 
 
 @dataclass(frozen=True, eq=False)
 class TimedPoses:
-    """Poses of a tool: times [s], shape (n,), tips [m], shape (n, 3), and rotations."""
+    """Poses of a tool: times [s], shape (n,), tip positions [m], shape (n, 3), and orientations."""
 
     times_s: Array
     tips_m: Array
@@ -95,7 +94,7 @@ def warn_of(sentences: Sequence[str]) -> None:
 
 
 def _require_chips(model: BoneModel, number: int) -> None:
-    """Refuse a chip that is thicker than the tool's radius."""
+    """Raise an error if a chip was thicker than the tool's radius."""
     thickest_mm = 1e3 * model.limits.thickest_m
     radius_mm = 1e3 * model.cutter.profile.radius_m
     if thickest_mm > radius_mm:
@@ -109,18 +108,18 @@ def _require_chips(model: BoneModel, number: int) -> None:
 
 @suggests_arguments
 def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
-    """Return tips and times along straight lines at a given feed, one tip per millisecond.
+    """Return tip positions and times along straight lines at a given feed, every millisecond.
 
     Parameters
     ----------
     points_mm
         Corners of the path [mm], shape (k, 3). At least two corners must differ.
     feed_mm_s
-        Speed along the path [mm/s].
+        Speed of the tip along the path [mm/s].
 
     Returns
     -------
-    Tips [mm], shape (n, 3), and times [s], shape (n,). Both arrays are arguments of `Bone.cut`:
+    Tip positions [mm], shape (n, 3), and times [s], shape (n,). `Bone.cut` takes both arrays:
     ``bone.cut(burr, *feed_along(points_mm, feed_mm_s=2))``.
 
     Raises
@@ -159,7 +158,7 @@ def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
 
 
 def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]:
-    """Return the tips [m], shape (n, 3), and orientations of poses.
+    """Return tip positions [m], shape (n, 3), and orientations from an array of poses.
 
     Parameters
     ----------
@@ -171,7 +170,7 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
     Raises
     ------
     InputError
-        If the poses cannot be used, or have an orientation and an axis is given.
+        If the poses cannot be used, or if an axis is given for poses that have an orientation.
     """
     along = require_direction("axis", (0.0, 0.0, 1.0) if axis is None else axis)
     tips, turns = poses_in("poses", poses, frame_along(along))
@@ -207,9 +206,9 @@ def times_of(times_s: ArrayLike, count: int) -> Array:
 
 
 Structures = Mapping[str, Union[str, PathLike[str], "pyvista.PolyData"]]
-"""Closed surfaces of structures, keyed by name, in millimetres in the frame of the bone.
+"""Closed surfaces of structures that a tool must not touch, keyed by name.
 
-Each surface is a file or a pyvista surface.
+Each surface is a file or a pyvista surface, with lengths in millimetres, in the frame of the bone.
 """
 
 
@@ -230,8 +229,8 @@ def clearance_of(
     Raises
     ------
     InputError
-        If a name has characters other than small letters, digits and underscores, or a surface
-        cannot be used.
+        If a structure's name has characters other than small letters, digits and underscores, or a
+        surface cannot be used.
     """
     if not structures:
         return None
@@ -258,7 +257,7 @@ def clearance_of(
 
 @suggests_arguments
 class Cut:
-    """Force, torque and removed volume at every pose of a cut.
+    """Result of `Bone.cut`: force, torque and removed volume at every pose.
 
     The forces act on the tool. The torques are about the tip of the tool.
 
@@ -267,12 +266,12 @@ class Cut:
     trace
         All columns, keyed by name, with one row per pose: ``cut.trace["force_z_N"]``.
     notes
-        Notes on findings, keyed by subject.
+        Notes on the cut, keyed by subject; warnings are included.
     pose_us
         Computing time of each pose [µs], shape (n,).
     events
-        Events, each with a time [s] and a sentence. An example is an overlap of the tool with a
-        structure to keep clear of.
+        Events, each with a time [s] and a sentence. An example is an overlap of the tool with one
+        of the structures in `keep_clear`.
     """
 
     def __init__(
@@ -292,9 +291,9 @@ class Cut:
 
     @classmethod
     def of(cls, loop: Loop, times_s: Array, *, removed_before_m3: Array) -> "Cut":
-        """Return the result of a loop that has run through given poses at given times [s].
+        """Return the result of a loop that has moved a tool through all poses at given times [s].
 
-        The volume that was removed before the loop is not included.
+        `removed_before_m3` is the volume that was removed before this cut; it is subtracted.
         """
         layout = TraceLayout.of(loop.parts.tissue.layer_names)
         names = [name for name in loop.trace.columns if not name.startswith("model_")]
@@ -323,7 +322,7 @@ class Cut:
 
     @property
     def tip_mm(self) -> Array:
-        """Tips of the tool [mm], shape (n, 3)."""
+        """Positions of the tool's tip [mm], shape (n, 3)."""
         return self.trace.vectors("tool", "mm")
 
     @property
@@ -350,7 +349,7 @@ class Cut:
         return np.asarray(self.trace["removed_mm3"])
 
     def distance_mm(self, name: str) -> Array:
-        """Return the distance [mm], shape (n,), of the tool from a structure to keep clear of.
+        """Return the distance of the tool from a structure in `keep_clear` [mm], shape (n,).
 
         The distance is negative where tool and structure overlap.
 
@@ -373,23 +372,23 @@ class Cut:
     def layer(self) -> NDArray[np.str_]:
         """Name of the layer in which the largest area of the tool is engaged at each pose.
 
-        The names have shape (n,). The name is "none" without contact.
+        The result has shape (n,), with the name "none" at poses without contact.
         """
         return np.asarray(self.trace["layer"])
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Return all columns as a table, one row per pose.
+        """Return all columns of `trace` as a table, one row per pose.
 
         See `tissue.objects.trace.Trace.to_pandas`.
         """
         return self.trace.to_pandas()
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return all columns over time; see `tissue.objects.trace.Trace.to_xarray`."""
+        """Return all columns of `trace` over time; see `tissue.objects.trace.Trace.to_xarray`."""
         return self.trace.to_xarray()
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write all columns to a file in the format of its suffix.
+        """Write all columns of `trace` to a file; the suffix of its name selects the format.
 
         The suffixes are .csv, .mat (MATLAB), .npz, .parquet and .h5.
 
@@ -402,16 +401,16 @@ class Cut:
         return saved_table(self.trace, path, overwrite=overwrite)
 
     def plot(self, *, over: "Figure | None" = None, label: str | None = None) -> "Figure":
-        """Draw force and torque over time, each in a panel of its own.
+        """Draw force and torque over time, in two panels.
 
-        Without a label the panels show the components and the magnitude. With a label they show
-        only the magnitude.
+        Without `label`, each panel shows the three components and the magnitude. With `label`, each
+        panel shows only the magnitude, so that several cuts can be compared.
 
         Parameters
         ----------
         over
-            Figure of an earlier plot into which this cut is drawn: ``b.plot(over=a.plot(label="a"),
-            label="b")``.
+            Figure that an earlier call returned. The curves of this cut are added to it:
+            ``b.plot(over=a.plot(label="a"), label="b")``.
         label
             Name of this cut in the legend.
         """
@@ -443,7 +442,7 @@ class Cut:
 
 
 def saved_table(trace: Table, path: str | Path, *, overwrite: bool) -> Path:
-    """Write columns to a file in the format of its suffix, and return its path.
+    """Write a table to a file in the format of the suffix, and return the path of the file.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Fit of constants to a measured force: `tissue.fit`."""
+"""Fit of material constants to measured forces: `tissue.fit`."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 @suggests_arguments
 class Fit:
-    """Constants of a scene, as determined from a log or a table.
+    """Material constants of a scene, fitted to a log of forces or to a table of loads.
 
     Attributes
     ----------
     fitted
-        Complete result of the fit.
+        Result of the fitting code, from which the methods of this class take their values.
     """
 
     def __init__(self, fitted: Fitted) -> None:
@@ -37,21 +37,19 @@ class Fit:
 
     @property
     def verdicts(self) -> list[str]:
-        """Sentences on the constants that the data determine, on the other constants, and on the
-        next measurement.
-        """
+        """Sentences on which constants the data determine, and on useful further measurements."""
         return self.fitted.verdicts
 
     @property
     def laws(self) -> tuple[LawMisfit, ...]:
-        """Misfits of the cutting laws to a table of steady loads; empty for a log."""
+        """Misfit of each cutting law to a table of steady loads; empty for a log."""
         return self.fitted.laws
 
     def to_pandas(self) -> "pandas.DataFrame":
         """Return a table with a row per constant.
 
-        For each constant, the table has the range before the fit (from the source of the constant),
-        the 5, 50 and 95 % quantiles after the fit, and a state such as ``determined``.
+        For each constant, the table has the published range, the 5, 50 and 95 % quantiles after the
+        fit, and a state such as ``determined``.
         """
         import pandas
 
@@ -72,10 +70,11 @@ class Fit:
         return pandas.DataFrame(rows).set_index("constant")
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
-        """Write ``fitted.toml`` for scenes, a report, pictures and numbers; return the folder.
+        """Write the fitted constants, a report, pictures and numbers; return the folder.
 
-        ``fitted.toml`` is only written if a constant of a material was fitted. The report gives the
-        fitted keys of the scene, such as ``organ.young_kPa``, as options.
+        ``fitted.toml`` contains the fitted constants of materials, for the key ``materials`` of a
+        scene. It is written only if there are such constants. Fitted values of scene keys, such as
+        ``organ.young_kPa``, are in the report, as options for the command line.
 
         Raises
         ------
@@ -104,45 +103,46 @@ def fit(
     max_memory_GB: float | None = None,
     progress: Bar = None,
 ) -> Fit:
-    """Fit the constants of a scene's material to a measured log, or to a table of loads.
+    """Fit the material constants of a scene to a log of measured forces, or to a table of loads.
 
     A log holds poses and forces over time. A table of steady loads holds the thrust and the torque
     of a drill for each feed and speed. A table of presses holds the force of a ball on tissue for
-    each depth. The kind of file is recognised from its columns. For steady loads, the fit reports
-    which cutting laws the table rejects.
+    each depth. The kind of file is recognised from its columns. For steady loads, the fit also
+    reports which cutting laws are incompatible with the table.
 
     Parameters
     ----------
     scene
-        Scene with the tissue and the tool of the log. The poses of the log, in the scene's frame,
-        replace the motion of the scene.
+        Scene with the tissue and the tool of the measurement. The poses of a log must be in the
+        frame of the scene. They replace the motion of the scene.
     measured
         CSV, Parquet, HDF5, .mat or .npz file. The trace of a run needs no `columns`. A table of
         steady loads has the feed (``feed_mm_min`` or ``feed_mm_s`` with ``spin_rpm``, or
         ``feed_mm_per_turn``), the loads (``thrust_N``, ``torque_Nmm`` or ``torque_Nm``), and
         optionally their standard deviations (``thrust_pm_N``, ``torque_pm_Nmm`` or
         ``torque_pm_Nm``). A table of presses has ``depth_mm``, ``force_N`` and optionally
-        ``probe``, the number of the press. The scene for such a table has a ball and a slab that is
-        as thick as the tissue.
+        ``probe``, the number of the press. For a table of presses, the tool of the scene must be
+        the ball, and its anatomy a slab as thick as the tissue.
     free
         Constants to fit, such as ``cutting.trabecular`` or ``cutting.edge``. The default is all
-        constants of the touched tissue that have a range; see docs/guide/fit.md.
+        constants of the touched tissue that have a published range; see docs/guide/fit.md.
     columns
-        Columns of a log that have other names or units: ``{"force_x_N": "-Fx:mN"}``. A number is a
-        constant value. ``{"time_s": "500:Hz"}`` gives a sampling rate if the log has no times.
+        Names and units of a log's columns, if they differ from those of a trace. ``{"force_x_N":
+        "-Fx:mN"}`` reads the negative of column Fx in mN. A number in place of a name is a constant
+        value. ``{"time_s": "500:Hz"}`` gives the sampling rate of a log without times.
     cores
         Processor cores to use; default all.
     max_memory_GB
         Memory that the log may take [GB]; default half of the free memory.
     progress
-        Whether to show a progress bar, or a function that is called with the name of the current
+        Whether to show a progress bar; or a function that is called with the name of the current
         work.
 
     Raises
     ------
     InputError
-        If the log or the table cannot be read, the tool never cuts along the log, or the log
-        determines no constant.
+        If the file cannot be read, the tool never cuts on the path of the log, or the data
+        determine no constant.
     """
     maps = (
         [f"{name}={column}" for name, column in columns.items()]

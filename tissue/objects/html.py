@@ -21,7 +21,7 @@ def table_html(
     caption: str = "",
     numbers: bool = False,
 ) -> str:
-    """Return an HTML table of texts; ``numbers`` aligns the cells to the right."""
+    """Return an HTML table; with ``numbers``, the cells are aligned to the right."""
     side = "right" if numbers else "left"
     head = f"<caption>{escape(caption)}</caption>" if caption else ""
     if titles:
@@ -31,7 +31,7 @@ def table_html(
 
 
 def curve(values: Sequence[float], *, title: str) -> str:
-    """Return the HTML of a small curve without axes; its vertical scale starts at zero."""
+    """Return the HTML of a small curve without axes; the vertical range starts at zero."""
     top = max(*values, 0.0) or 1.0
     step = 320.0 / max(len(values) - 1, 1)
     # One pixel is left above and below for the width of the line.
@@ -43,14 +43,14 @@ def curve(values: Sequence[float], *, title: str) -> str:
 
 
 def folded(title: str, inner: str, *, is_open: bool = False) -> str:
-    """Return a section that expands and collapses when its title is clicked."""
+    """Return an HTML section that expands and collapses when its title is clicked."""
     return (
         f"<details{' open' if is_open else ''}><summary>{escape(title)}</summary>{inner}</details>"
     )
 
 
 def scrolled(inner: str) -> str:
-    """Return HTML that scrolls horizontally if it is wider than the page."""
+    """Wrap HTML in an element that scrolls horizontally if it is wider than the page."""
     return f'<div style="overflow-x: auto">{inner}</div>'
 
 
@@ -65,7 +65,7 @@ CURVE_POINTS = 300
 
 
 def run_line(summary: Summary) -> list[str]:
-    """Return a line with the most important figures of a run."""
+    """Return one table row with the most important results of a run."""
     name = str(summary.get("scene"))
     if summary["status"] != "complete":
         return [name, str(summary["status"])]
@@ -84,15 +84,14 @@ BANDED = {
     "peak_torque_Nm": ("torque_Nm", "peak"),
     "mean_torque_Nm": ("torque_Nm", "mean_in_contact"),
 }
-"""Keys (load, figure) in a summary and in its uncertainty band, by the name of the figure.
-"""
+"""Pairs (load, statistic) that locate values in a summary and in its band, keyed by value name."""
 
 
 def figures_of_trace(trace: Table) -> dict[str, float]:
-    """Return the figures of a run that did not reach its end, keyed by names with units.
+    """Return summary values of a run that ended early, keyed by names with units.
 
-    The figures (numbers that summarise a run) are the time and the loads of the trace. The trace
-    may have no rows.
+    The values are the simulated time, and peak and mean loads in the trace. The trace may have no
+    rows.
     """
     if not len(trace.rows):
         return {}
@@ -104,7 +103,7 @@ def figures_of_trace(trace: Table) -> dict[str, float]:
 
 
 def figures_of(summary: Summary) -> dict[str, float]:
-    """Return the figures (summary numbers) of a complete run, keyed by names with units."""
+    """Return the summary values of a complete run, keyed by names with units."""
     if summary["status"] != "complete":
         return {}
     tick = summary["tick_us"]
@@ -132,7 +131,7 @@ def figures_of(summary: Summary) -> dict[str, float]:
 
 
 def intervals_of(summary: Summary) -> dict[str, tuple[float, float]]:
-    """Return the 90 % intervals of figures (summary numbers), keyed by names with units.
+    """Return the 90 % intervals of summary values, keyed by names with units.
 
     The result is empty for a run without an uncertainty band.
     """
@@ -144,7 +143,7 @@ def intervals_of(summary: Summary) -> dict[str, tuple[float, float]]:
 
 
 def run_html(summary: Summary, events: list[tuple[float, str]], force_N: Array) -> str:
-    """Return a short table and the force over time, with events and notes folded below."""
+    """Return HTML of a run: a table, the force curve, and collapsed events and notes."""
     shown = table_html(run_rows(summary), caption=f"run of {summary.get('scene')}")
     if len(force_N):
         every = max(len(force_N) // CURVE_POINTS, 1)

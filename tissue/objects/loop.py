@@ -1,4 +1,4 @@
-"""Loop of a tool and a tissue; a program or a haptic device moves the tool."""
+"""Simulation of a tool in a tissue, tick by tick; a program or a haptic device moves the tool."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -63,24 +63,23 @@ if TYPE_CHECKING:
 
 @suggests_arguments
 class Loop:
-    """Loop of a tool and a tissue in ticks of 1 ms.
+    """Simulation of a tool in a tissue in ticks of 1 ms, moved by a program or a haptic device.
 
     Without a device a program moves the tool: ``wrench = loop.step(pose)`` moves the tool to a pose
     and returns the force and torque on the tool. The tool follows the given poses exactly.
-    `snapshot` copies the state of the loop; `restore` and `reset` return the loop to an earlier
-    state. After `restore`, the loop computes the same forces, to the last bit, as it computed after
-    the snapshot.
+    `snapshot` returns a copy of the state, and `restore` returns to this state. `reset` returns to
+    the initial state. After `restore`, equal poses give bit-identical forces.
 
     With a device, use ``with Loop(...) as loop: row = loop.step()`` or ``loop.run(10.0)``. In each
     tick the loop reads the device, the tool follows the device through a spring, and the tissue
-    responds. The force passes the predictor, the low-pass and the device's limits before it is
-    commanded. The stability of the coupling is checked before the first tick. The last command to
-    the device is a force of zero, even if an error ends the ``with`` block or the run.
+    responds. The predictor, the low-pass filter and the limits of the device are applied to the
+    force before it is sent to the device. The stability of the coupling is checked before the first
+    tick. At the end, zero force is sent to the device, even after an error.
 
     Attributes
     ----------
     notes
-        Notes on choices and findings, keyed by subject.
+        Notes on automatic choices and on limits of the model, keyed by subject.
     ticks
         Number of ticks that have run.
     """
@@ -105,8 +104,8 @@ class Loop:
         Parameters
         ----------
         tissue
-            Bone or organ for the tool; or a scene or its name. A scene contains its own tool, start
-            and structures to keep clear of.
+            Bone or organ that the tool works on; or a scene, or the name of a scene. A scene
+            contains its own tool, start position and structures to keep clear of.
         tool
             For bone a cutter, default a ball burr of 4 mm with 6 flutes at 20,000 revolutions per
             minute. For an organ a pressing tool, default a ball of 10 mm.
@@ -115,55 +114,58 @@ class Loop:
             ``command(force_N, torque_Nm)``. If the object is a context manager, the loop enters and
             exits it. None if the tool is moved by `step`.
         start_mm
-            Position of the tip at the start [mm], which corresponds to the origin of the device;
-            default 2 mm above the middle of the tissue.
+            Position of the tip at the start [mm], shape (3,). The origin of the device corresponds
+            to this position. The default is 2 mm above the middle of the tissue.
         axis
             Direction of the tool from tip to shank; default z. The axes of the device are parallel
             to those of the tissue.
         reach_mm
-            For bone: distance around the tool within which bone is prepared [mm]; default 5. More
-            bone is prepared when the tool has moved by half of this distance; the tick in which
-            this happens takes longer. For an organ: distance from the start within which the organ
-            may be touched; default 5. For a scene: distance from its path, across the axis of the
-            tool; default 2. The path determines the depth. For an organ or a scene, no further
-            tissue is prepared later.
+            For bone: distance around the tool within which bone is prepared [mm]; default 5. When
+            the tool has moved by half of this distance, bone around the new position is prepared;
+            that tick takes longer. For an organ: distance from the start position within which the
+            tool may touch the organ; default 5. For a scene: distance of the prepared tissue from
+            the scene's path, perpendicular to the tool's axis; default 2. The deepest point of the
+            path limits the depth of the prepared tissue. For an organ or a scene, tissue is
+            prepared only once, at the start.
         longest_s, keep_clear
-            Time for which rows of the trace are allocated [s]; and structures that a cutter must
-            not touch, as for `tissue.Bone.cut`. With a device, the loop stops when all rows of the
-            trace are used. Without a device, the newest rows then replace the oldest rows.
+            Time for which rows of the trace are allocated [s]. Structures that a cutter must not
+            touch, as for `tissue.Bone.cut`. With a device, the loop stops when all rows of the
+            trace are used. Without a device, the newest rows replace the oldest rows from then on.
         step_ms
-            Duration of a step without a device [ms], 1 to 1000. In a step of several ticks the tool
-            moves along a straight line, which shortens a curved path; see the guide.
+            Duration of a step without a device [ms], 1 to 1000. In a step of several ticks, the
+            tool moves along a straight line. A curved path is therefore replaced by chords.
         cores
-            Processor cores for a scene; default all. The result does not depend on their number.
+            Number of processor cores for a scene; default all. The result does not depend on it.
         limits
             Limits of the device: name of a known device, `tissue.DeviceParameters`, or a mapping of
             these parameters; default ``touch``. This option and all following options need a
             device.
         predictor, predictor_file
-            Predictor of the force at the end of the latency: a name, or an object with ``observe``
-            and ``predict``. A trained predictor also needs the file that `tissue train` wrote.
+            Predictor that compensates the latency of the force: a name, or an object with the
+            methods ``observe`` and ``predict``. A trained predictor also needs the file that
+            `tissue train` wrote.
         hand
-            Hand for which stability is checked: ``novice``, ``intermediate`` or ``expert``; default
-            expert.
+            Model of the user's hand, for the stability check: ``novice``, ``intermediate`` or
+            ``expert``; default expert.
         materials
-            File of constants of device and hand, in the format that `tissue fit` writes.
+            File with constants of the device and the hand, in the format that `tissue fit` writes.
         renderer
-            Law with which the device plays the contact force: ``proxy``, ``penalty`` or
-            ``passivity``; default proxy.
+            Rendering law that converts contact of the tool into a force at the device: ``proxy``,
+            ``penalty`` or ``passivity``; default proxy.
         stiffness_N_m
-            Stiffness of the coupling at the device; default half of the critical stiffness with
-            this hand.
+            Stiffness of the spring between device and tool [N/m]; default half of the critical
+            stiffness, above which the coupling with this hand is unstable.
         force_scale, motion_scale
-            Newtons at the device for each newton at the tool, and metres at the tool for each metre
-            at the device. The default motion scale is 1. The default force scale is 1 for an organ.
-            For bone it is chosen so that the device can play the force in a slot whose depth is a
-            quarter of the cutter's diameter.
+            Force at the device [N] for each newton at the tool, and displacement of the tool [m]
+            for each metre at the device. The default motion scale is 1. The default force scale is
+            1 for an organ. For bone, the default force scale brings the force of a typical cut into
+            the range of the device. This cut is a slot whose depth is a quarter of the cutter's
+            diameter.
         delay_ms, low_pass_ms
-            Additional latency before the device [ms], in whole ticks; and time constant of the
-            low-pass before the device [ms]. The defaults are 0 and 1.
+            Latency that is added to the force [ms], in whole ticks, default 0. Time constant of the
+            low-pass filter for the force [ms], default 1.
         allow_unstable
-            Whether to run a coupling for which the check predicts instability.
+            Whether to run even if the stability check predicts an unstable coupling.
 
         Raises
         ------
@@ -241,7 +243,7 @@ class Loop:
         reach_m: float,
         keep_clear: Structures | None,
     ) -> Parts:
-        """Build the objects of a run; the tissue is prepared at the start position of the tool."""
+        """Return the objects of a run, with the tissue prepared near the tool's start position."""
         motion = StaysAt(start_m, along)
         if isinstance(tissue, Bone):
             assert isinstance(tool, Cutter)
@@ -262,7 +264,7 @@ class Loop:
 
     @property
     def row(self) -> TickRow:
-        """Row of the trace of the last tick, keyed by column; the next tick overwrites it."""
+        """Values of the last tick, keyed by column of the trace; the next tick overwrites them."""
         return self._row
 
     def __enter__(self) -> Self:
@@ -292,20 +294,22 @@ class Loop:
         ----------
         pose
             Pose of the tool at the end of the step, in the frame of the tissue. Three forms are
-            accepted: a tip [mm], shape (3,), with unchanged orientation; a tip and a quaternion (x,
-            y, z, w), shape (7,); or a matrix, shape (4, 4). The z axis of the tool points from tip
-            to shank. Leave out the pose if there is a device.
+            accepted: a tip position [mm], shape (3,), with unchanged orientation; a tip position
+            and a quaternion (x, y, z, w), shape (7,); or a homogeneous matrix, shape (4, 4). The z
+            axis of the tool points from tip to shank. Leave out the pose if there is a device.
         velocity
             Velocity of the tip [mm/s], shape (3,), or velocity and angular velocity [rad/s] in one
             array, shape (6,). The default is the change of the pose divided by the duration of the
-            step. The cutting force depends on the velocity, and is zero for a tool at rest.
+            step. The velocity matters for cutting: the cutting force depends on it and is zero for
+            a tool at rest.
 
         Returns
         -------
         TickRow or array
             Without a device: the wrench at the end of the step, shape (6,). The wrench contains the
             force on the tool [N] and the torque about the tip [N m], in the frame of the tissue.
-            With a device: the row of the trace, which is the same object in every tick.
+            With a device: the values of the trace in this tick, in a mapping that the next tick
+            overwrites.
 
         Raises
         ------
@@ -344,7 +348,7 @@ class Loop:
         return self._row
 
     def _show(self) -> None:
-        """Update the last row of the trace, and warn of limits that were exceeded."""
+        """Update `row`, and warn if the tool exceeded the limits of the cutting law."""
         self._row.values_of_tick = self._loop.trace.rows[(self.ticks - 1) % self._most]
         if self._limits is None:
             return
@@ -355,12 +359,12 @@ class Loop:
             self._warned |= passed.keys()
 
     def reset(self, pose: ArrayLike | None = None) -> None:
-        """Restore the tissue as it was when the loop was made, and set the time to 0.
+        """Restore the initial state of the tissue, and set the time to 0.
 
         Parameters
         ----------
         pose
-            Pose of the tool, as for `step`; default the start.
+            New pose of the tool, as for `step`; default the start pose.
 
         Raises
         ------
@@ -371,33 +375,31 @@ class Loop:
         self._row.values_of_tick = self._loop.trace.rows[0]
 
     def snapshot(self) -> Snapshot:
-        """Return a copy of the state, which can be pickled, and restored in a loop made from equal
-        arguments.
+        """Return a copy of the state, which can be pickled.
 
         Raises
         ------
         InputError
-            If a device moves the tool, or a user-defined tissue does not support copies of its
-            state.
+            If a device moves the tool, or if a user-defined tissue does not support snapshots.
         """
         return self._posed("snapshot").snapshot()
 
     def restore(self, snapshot: Snapshot) -> None:
         """Return to a snapshot of this loop, or of a loop that was made from equal arguments.
 
-        The trace keeps the rows of this loop up to the time of the snapshot.
+        Rows of the trace after the time of the snapshot are removed.
 
         Raises
         ------
         InputError
-            If the snapshot is of a loop with another tissue, tool, step or constants, or needs bone
-            that this loop has not prepared.
+            If the tissue, tool, step duration or constants of the snapshot's loop differ from those
+            of this loop, or if the snapshot needs bone that this loop has not prepared.
         """
         self._posed("restore").restore(snapshot)
         self._row.values_of_tick = self._loop.trace.rows[max(self.ticks - 1, 0) % self._most]
 
     def _posed(self, method: str) -> PosedSession:
-        """Return the session that moves the tool to given poses; refuse a loop with a device."""
+        """Return the session that moves the tool to poses; raise an error with a device."""
         if self._session is None:
             raise InputError(method, "be used without a device", "a device", "leave device out")
         return self._session
@@ -409,7 +411,7 @@ class Loop:
         real_time: bool = False,
         on_tick: Callable[[int, TickRow], object] | None = None,
     ) -> Self:
-        """Run for a duration of simulated time with the device open, and return the loop.
+        """Open the device, run for a duration of simulated time, and return the loop.
 
         Parameters
         ----------
@@ -417,13 +419,13 @@ class Loop:
             Duration [s].
         real_time
             Whether each tick waits until it is due on the wall clock. A real device needs this. The
-            ticks then run in a second thread, and a hyperelastic law is solved in a third thread. A
-            sample that is more than 1.5 ms late is not used, and a device that gets no command for
-            50 ms receives zero force. Without real time, the ticks wait for the solution of the
-            law.
+            ticks then run in a second thread. If the tissue is hyperelastic, its deformation is
+            solved in a third thread. A sample of the device that is more than 1.5 ms late is not
+            used. If the device gets no command for 50 ms, it receives zero force. Without real
+            time, the ticks wait for the solution of the hyperelastic deformation.
         on_tick
-            Function that is called after every tick with the number and the row of the tick. The
-            run ends if the function returns False.
+            Function that is called after every tick with the number of the tick and its row of the
+            trace. The run ends if the function returns False.
         """
         device = self._device
         if device is None:
@@ -471,14 +473,14 @@ class Loop:
 
     @property
     def tick_us(self) -> Any:
-        """Duration of each tick in the trace [µs], shape (n,)."""
+        """Computing time of each tick in the trace [µs], shape (n,)."""
         return self._in_order(self._loop.timing["tick_us"])
 
     def surface(self) -> "pyvista.PolyData":
         """Return the current surface of a scene's bone or tooth [mm], with cell data ``layer``.
 
-        For a `tissue.Bone`, use `tissue.Bone.surface`. Do not call this method within a tick: it
-        takes up to 1 s.
+        For a `tissue.Bone`, use `tissue.Bone.surface`. Do not call this method from `on_tick` in
+        real time: it takes up to 1 s.
 
         Raises
         ------
@@ -498,11 +500,11 @@ class Loop:
         return with_layers(bone_surface(parts.volume, parts.tissue.remaining()), parts.volume)
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Return the ticks so far as a table, one row per tick."""
+        """Return the trace as a table, one row per tick."""
         return self.trace.to_pandas()
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the ticks so far to a file in the format of its suffix.
+        """Write the trace to a file; the suffix of the file name selects the format.
 
         The suffixes are .csv, .mat, .npz, .parquet and .h5.
         """
@@ -516,6 +518,6 @@ class Loop:
 
 
 def _limits_of(model: TissueModel) -> LawLimits | None:
-    """Return the limits of the cutting law in bone or a tooth; None for other tissues."""
+    """Return the range of validity of the cutting law; None if the tissue is no bone or tooth."""
     milling = model.milling if isinstance(model, ToothModel) else model
     return milling.limits if isinstance(milling, BoneModel) else None

@@ -1,4 +1,4 @@
-"""Arguments of `tissue.Loop`: tool, start, prepared region, and coupling to a device."""
+"""Validation and defaults of the arguments of `tissue.Loop`."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -42,20 +42,17 @@ ARGUMENTS = {
     "prediction": "predictor",
     "kind": "limits",
 }
-"""Arguments of `Loop`, keyed by the scene keys that appear in error messages."""
+"""Arguments of `Loop` that replace scene keys in error messages, keyed by scene key."""
 CLEARANCE_MM = 2.0
 """Default height of the tool above the surface at the start [mm]."""
 LONGEST_S = 3600.0
-"""Longest duration of a loop for which rows are allocated [s].
+"""Largest accepted value of `longest_s`, the time for which rows of the trace are allocated [s].
 
 One hour of a trace with 60 columns takes 1.7 GB.
 """
 REACH_MM = 5.0
 SCENE_REACH_MM = 2.0
-"""Default distance [mm] around a tool or a scene's path within which tissue is prepared.
-
-For a scene, tissue along its whole path is prepared.
-"""
+"""Default distance within which tissue is prepared [mm]: from the tool, and from a scene's path."""
 MOST_TICKS = 1000
 """Largest number of ticks in a step. A step of 1000 ticks takes 1 s."""
 
@@ -79,14 +76,14 @@ class LoopOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class JudgedDevice:
-    """Result of a passed stability check: motion of a tool that is coupled to a device.
+    """Motion and output of a device whose coupling to the tool has passed the stability check.
 
     Attributes
     ----------
     motion
         Motion of the tool.
     output
-        Options for the force that the device plays.
+        Options for the force that is sent to the device.
     notes
         Notes on constants and on the coupling, keyed by subject.
     """
@@ -109,11 +106,12 @@ def judged_device(
     Parameters
     ----------
     device
-        Device. Its origin corresponds to the start.
+        Device. Its origin corresponds to the start position of the tip.
     tissue, tool
         Tissue, and the tool that cuts or presses it.
     start_m, along
-        Tip at the start [m] and direction of the tool from tip to shank, shape (3,) each.
+        Start position of the tip [m], and direction of the tool from tip to shank, each of shape
+        (3,).
     options
         Options from the caller of `Loop`.
 
@@ -171,7 +169,7 @@ def judged_device(
 def _settings_of(
     device: Device, options: LoopOptions, constants: Materials, *, cuts: bool
 ) -> LoopSettings:
-    """Return the settings of the coupling of device and tool from the options of a caller."""
+    """Return the settings of the coupling between device and tool, from the options of `Loop`."""
     given = options.get("limits", "touch")
     limits = sampled(_limits(given, constants))
     require_stated_rate(device, limits, remedy="give this rate_Hz in limits")
@@ -234,7 +232,7 @@ def _limits(
 
 
 def tissue_of(tissue: Bone | Organ | Scene | str) -> Bone | Organ | Scene:
-    """Return a tissue, or the scene of a name.
+    """Return a tissue or a scene unchanged; for a name, load the scene of this name.
 
     Raises
     ------
@@ -255,10 +253,11 @@ def tissue_of(tissue: Bone | Organ | Scene | str) -> Bone | Organ | Scene:
 def extent(
     *, is_scene: bool, longest_s: float, step_ms: int, reach_mm: float | None
 ) -> tuple[int, int, float]:
-    """Return the size of a loop in time and space from the arguments of a `Loop`.
+    """Return numbers of ticks, and the distance of prepared tissue, from arguments of `Loop`.
 
-    The result is the number of ticks that the trace keeps, the number of ticks in a step, and the
-    distance around the tool or around the path of a scene within which tissue is prepared [m].
+    The result has three values: the number of ticks that the trace keeps, the number of ticks in a
+    step, and a distance [m]. Tissue within this distance of the tool, or of the path of a scene, is
+    prepared.
 
     Raises
     ------
@@ -277,7 +276,7 @@ def extent(
 
 
 def leave_out(given: Mapping[str, object], when: str) -> None:
-    """Refuse arguments that would have no effect."""
+    """Raise an error if an argument is given that would have no effect."""
     for name, value in given.items():
         if value is not None:
             raise InputError(name, f"be left out {when}", repr(value)[:60], "remove it")
@@ -310,7 +309,7 @@ def fitted(
 def made_from_of(
     tissue: Bone | Organ, tool: Cutter | PressingTool, keep_clear: Structures | None
 ) -> tuple[object, ...]:
-    """Return the constants of a tissue, a tool and structures on which the forces depend."""
+    """Return the data that determine the forces; a snapshot is valid only for equal data."""
     if isinstance(tissue, Bone):
         return (*constants_of(tissue), tool, tuple(keep_clear or ()))
     assert isinstance(tool, PressingTool)
@@ -330,7 +329,7 @@ def made_from_of(
 
 
 def region(start_m: Array, axis: Array, reach_m: float) -> Region:
-    """Return the region around and below a start within which an organ may be touched."""
+    """Return the region around and below a start position in which a tool may touch an organ."""
     turn = frame_along(axis)
     place = start_m @ turn
     far = np.array([reach_m, reach_m, np.inf])
@@ -338,9 +337,7 @@ def region(start_m: Array, axis: Array, reach_m: float) -> Region:
 
 
 def start_above(tissue: Bone | Organ, axis: Array) -> Array:
-    """Return the position of a tip above the middle of a bone or an organ, along the tool's axis
-    [mm].
-    """
+    """Return the default start position of a tip above the middle of a bone or an organ [mm]."""
     surface = tissue.surface()
     low, high = np.array(surface.bounds).reshape(3, 2).T
     middle = 0.5 * (low + high)

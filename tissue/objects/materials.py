@@ -1,4 +1,4 @@
-"""Material constants with their sources, for users."""
+"""Material constants with their sources: `tissue.material` and `tissue.material_names`."""
 
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import pandas
 
 TABLES = ("cutting", "tooth", "soft", "needle")
-"""Data files that hold materials."""
+"""Data files whose tables are materials."""
 CONFIDENCE = {"H": "high", "M": "medium", "L": "low"}
 TITLES = ("constant", "value", "lowest", "highest", "confidence", "source")
 

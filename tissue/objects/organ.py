@@ -1,4 +1,4 @@
-"""Soft organ object, made from tetrahedra, a surface, labels or a shape; tools can press it."""
+"""Soft organ that tools can press, made from tetrahedra, a surface, a segmentation or a shape."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ class Organ:
 
     `from_tetrahedra`, `from_surface`, `from_labels`, `block` and `liver` make an organ.
 
-    The organ is linear elastic or hyperelastic. It lies in the frame of its mesh, with lengths in
-    millimetres. Its stiffness is factorised once, at the first press.
+    The organ is linear elastic or hyperelastic. Positions are in the frame of its mesh, in
+    millimetres. The stiffness matrix is factorised once, at the first press.
     """
 
     def __init__(self, made: MadeOrgan) -> None:
@@ -76,36 +76,37 @@ class Organ:
         ----------
         mesh
             pyvista UnstructuredGrid, a mesh of meshio, points and cells as a pair of arrays, or a
-            file (.vtu .vtk .msh .mesh). Parts are given by a cell array of numbers or names. This
-            array is called ``part``, or has the name that common mesh generators use.
+            file (.vtu .vtk .msh .mesh). A cell array of numbers or names assigns the tetrahedra to
+            parts. This array is called ``part``, or has the name that common mesh generators use.
         modulus_kPa, poisson_ratio
             Young's modulus [kPa] and Poisson's ratio.
         parts
-            Young's moduli [kPa] of parts whose modulus differs from `modulus_kPa`, keyed by name or
-            number.
+            Young's moduli [kPa] of parts whose modulus differs from `modulus_kPa`, keyed by the
+            name or number of the part.
         part_names
-            Names of parts that have numbers in the mesh.
+            Names of parts, keyed by the number of the part in the mesh.
         scale_mm
-            Millimetres per unit of the mesh. Without this factor the mesh must be in millimetres. A
-            mesh whose size contradicts this unit is refused.
+            Millimetres per unit of the mesh; default 1. A mesh with an implausible size is refused.
         held
             Points that do not move: a side of the surface, the name of a part, a mask of the mesh's
-            points, or their indices. A side is ``bottom`` (-z), ``top``, ``-x``, ``+x`` and so on.
-            It contains the faces whose normals are within 60 degrees of that direction.
+            points, or their indices. A side is ``bottom`` (-z), ``top`` (+z), ``-x``, ``+x`` and so
+            on. A side consists of the faces whose outward normals are within 60 degrees of its
+            direction.
         held_below_mm
-            Height z below which the surface does not move [mm]; use it instead of `held`.
+            Height z below which points of the surface do not move [mm]; an alternative to `held`.
         order
-            Order of the tetrahedra. Linear tetrahedra are faster, but lock near incompressibility.
+            Order of the tetrahedra, 1 or 2. Linear tetrahedra (1) are faster, but too stiff
+            (locking) for a Poisson's ratio near 0.5.
         friction
             Coulomb friction coefficient between tool and organ.
         capsule
             Thickness [um] and Young's modulus [kPa] of a membrane on the whole surface.
         density_kg_m3
-            Density [kg/m3]. If it is given, gravity along -z deforms the organ before the first
+            Density [kg/m3]. With a density, gravity along -z deforms the organ before the first
             contact.
         relaxation
-            Pairs of two numbers: a share of the modulus that relaxes, and the relaxation time [s]
-            of this share. `modulus_kPa` is then the instantaneous modulus.
+            Terms of a Prony series: pairs of a share of the modulus and its relaxation time [s].
+            With `relaxation`, `modulus_kPa` is the instantaneous modulus.
         law
             Hyperelastic law, with the names and keys of `organ.law` in scenes: ``"neo-hookean"`` or
             ``{"name": "yeoh", "square_ratio": 0.5}``. A hyperelastic law cannot be combined with a
@@ -114,7 +115,7 @@ class Organ:
         Raises
         ------
         InputError
-            If the mesh cannot be used or is not in millimetres, or a named part does not exist.
+            If the mesh cannot be used or has an implausible size, or a named part does not exist.
         """
         from meshes.tets.files import given_tets
         from tissue.simulation.builders.organ_made import StatedOrgan, made_of
@@ -137,7 +138,7 @@ class Organ:
         progress: Progress = silent,
         **options: Unpack[OrganOptions],
     ) -> Organ:
-        """Make an organ that fills a closed surface; its tetrahedra are kept in a cache on disk.
+        """Make an organ that fills a closed surface; its mesh is kept in a cache on disk.
 
         Parameters
         ----------
@@ -147,10 +148,11 @@ class Organ:
         modulus_kPa, poisson_ratio, parts, scale_mm, options
             As for `from_tetrahedra`.
         edge_mm
-            Edge length of the tetrahedra [mm]; default 1/14 of the longest side.
+            Edge length of the tetrahedra [mm]; default 1/14 of the longest side of the organ's
+            bounding box.
         inclusions
-            Closed surfaces inside the organ, keyed by name. Each surface becomes a part; `parts`
-            gives its modulus.
+            Closed surfaces inside the organ, keyed by name. The volume inside each surface becomes
+            a part with this name, whose modulus is in `parts`.
         progress
             Function that is called with the name of the current work.
 
@@ -190,17 +192,18 @@ class Organ:
     ) -> Organ:
         """Make an organ from a segmentation.
 
-        Structures in the organ or on its surface, such as a tumour or a vessel, become parts.
+        Structures in the organ or on its surface, such as a tumour or a vessel, become parts of the
+        organ with moduli of their own.
 
-        The surface of the organ is smooth instead of stepped like the voxels, and encloses the
-        volume of the labels. The organ lies in the frame of the image (LPS): x points to the
-        patient's left, y to the back, z to the head.
+        The surface of the organ is smooth, and encloses the same volume as the voxels of the label.
+        The organ lies in the frame of the image (LPS): x points to the patient's left, y to the
+        back, z to the head.
 
         Parameters
         ----------
         labels
-            Label image (.seg.nrrd .nrrd .nii.gz), a DICOM segmentation, a folder of masks or of
-            slices, or labels that were read before.
+            Label image (.seg.nrrd .nrrd .nii.gz), DICOM segmentation, folder of masks, folder of
+            slices, or a `Labels` object.
         organ
             Name or number of the label of the organ.
         modulus_kPa, poisson_ratio, options
@@ -246,9 +249,9 @@ class Organ:
         edge_mm: float | None = None,
         **options: Unpack[OrganOptions],
     ) -> Organ:
-        """Make a block of tissue bonded to the ground, with z up.
+        """Make a block of tissue whose bottom face is fixed, with z up.
 
-        The origin is at the middle of its top face.
+        The origin is at the middle of the top face.
 
         Parameters
         ----------
@@ -281,7 +284,7 @@ class Organ:
         edge_mm: float = 20.0,
         **options: Unpack[OrganOptions],
     ) -> Organ:
-        """Make the procedural liver of the scenes.
+        """Make the liver of the built-in scenes, whose shape is defined by formulas.
 
         The origin is on top of the right lobe. The z axis points to the head, and x to the left.
 
@@ -327,26 +330,25 @@ class Organ:
         return cls(made_of(mesh, notes, StatedOrgan.of(**taken, options=options)))
 
     def refined(self, *, edge_mm: float, near_mm: ArrayLike | None = None) -> Organ:
-        """Return the organ with a finer mesh near the tool.
+        """Return a copy of the organ with a finer mesh near points where a tool will press.
 
         For a press, the edges under the tool should be a quarter of the tool's diameter long.
 
         Parameters
         ----------
         edge_mm
-            Longest edge near the tool [mm]. Away from the refined points, the longest edge
-            increases by half of the distance to these points.
+            Longest edge at the points `near_mm` [mm]. Away from these points, the longest edge
+            increases by half of the distance to the nearest of them.
         near_mm
             Points [mm], shape (k, 3) or (3,), near which the mesh is refined; default the whole
-            surface. Each point is moved to the nearest point of the surface. Presses at these
-            points are fast from the second press on. Each press elsewhere takes some seconds
-            longer.
+            surface. Each point is moved to the nearest point of the surface. From the second press
+            on, presses at these points are fast. Each press elsewhere takes some seconds longer.
         """
         return Organ(self._made.refined(edge_mm, near_mm))
 
     @cached_property
     def mesh(self) -> pyvista.UnstructuredGrid:
-        """Tetrahedra [mm], with the cell array ``part`` and the point array ``held``."""
+        """Mesh of the organ [mm], with the cell array ``part`` and the point array ``held``."""
         grid = grid_of(self._made.mesh)
         grid.point_data["held"] = np.isin(np.arange(grid.n_points), self._made.held)
         return grid
@@ -357,7 +359,7 @@ class Organ:
 
     @property
     def soft(self) -> SoftOrgan:
-        """Finite-element model of the organ, with assembled equations."""
+        """Finite-element model of the organ, with the assembled system of equations."""
         return self._made.soft
 
     def press(
@@ -371,21 +373,22 @@ class Organ:
         hold_s: float = 0.0,
         progress: Progress = silent,
     ) -> Press:
-        """Press a tool into the undeformed organ, in steps from the first contact.
+        """Press a tool into the undeformed organ, in steps of depth, from the first contact on.
 
         Parameters
         ----------
         tool
-            `tissue.ball`, `tissue.flat_punch` or `tissue.probe_from_file`.
+            Tool that `tissue.ball`, `tissue.flat_punch` or `tissue.probe_from_file` returned.
         depth_mm
             Depth of the press from the first contact [mm].
         at_mm
-            Target point [mm]. The press goes to the nearest point of the surface. A target far from
-            the surface is refused.
+            Target point [mm], shape (3,). The tool presses at the nearest point of the surface. A
+            target far from the surface is refused.
         along
             Direction of the tool's motion; default perpendicular to the surface, into the organ.
         speed_mm_s, hold_s
-            Speed [mm/s] and holding time [s]; they are used only for an organ with `relaxation`.
+            Speed of the press [mm/s], and time for which the tool stays at the final depth [s].
+            Both have an effect only for an organ with `relaxation`.
         progress
             Function that is called with the name of the current work and its completed share (0 to
             1).
@@ -393,8 +396,8 @@ class Organ:
         Raises
         ------
         InputError
-            If the point is far from the surface or cannot move, or the tool has no free path to the
-            point.
+            If the target point is far from the surface or belongs to the held points, or the path
+            of the tool to this point is blocked.
         """
         if self.soft.prony is None and (speed_mm_s is not None or hold_s):
             given = "hold_s" if hold_s else "speed_mm_s"
@@ -419,7 +422,7 @@ class Organ:
 
     @quiet_without_display()
     def plot(self, **options: Any) -> Any:
-        """Show the organ with a translucent surface, its parts and its supports.
+        """Show the organ with a translucent surface, its parts and its held points.
 
         `options` are options of ``pyvista.Plotter.show``; ``off_screen`` and ``notebook`` are
         passed to the plotter.

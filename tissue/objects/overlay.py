@@ -1,4 +1,4 @@
-"""Plot of several runs: thrust, force across the tool and torque, over depth or time."""
+"""Plot of the loads on the tools of several runs, over depth or time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
 Over = Literal["time", "depth"]
 MOST_NAMED = 12
-"""Largest number of runs in a legend, which then has four lines above the panels."""
+"""Largest number of names in a legend. With this number, the legend has four lines."""
 LONG = 28
-"""Number of letters of a name above which a line of the legend holds only two names."""
+"""Length of the longest name [letters] above which a line of the legend holds only two names."""
 SMALL = 0.05
-"""Share of the largest force below which a component across the tool has no panel."""
+"""Ratio to the largest force component, below which a force component is not drawn."""
 MAINLY = 0.5
 """Share of the path in contact that the depth must cover for a plot over depth."""
 WIDTHS = 2.2, 1.0
-"""Widths of the first and the last curve [points]; a covered equal curve stays visible."""
+"""Line widths of the first and last curve [points]; wide curves stay visible below thin ones."""
 THRUST, ACROSS_X, ACROSS_Y, TORQUE = range(4)
 FORCES = ("thrust / N", "force across\nthe tool, x / N", "force across\nthe tool, y / N")
 LOW = 0
@@ -49,10 +49,10 @@ class Curve:
     trace
         Trace of the run.
     band
-        Uncertainty band of the run. With None, no band is drawn.
+        Uncertainty band of the run; None to draw no band.
     is_path_given
-        Whether the tool follows a given path. All samples of a band then have the same depth at the
-        same time.
+        Whether the tool follows a given path. The depth at a given time is then equal in all
+        samples of the uncertainty band, so the band can be drawn over depth.
     """
 
     label: str
@@ -70,9 +70,11 @@ class Loads:
     place
         Time [s] or depth [mm], shape (rows,).
     values
-        Thrust, two components across the tool's axis [N], and torque [N m], shape (rows, 4).
+        Columns: thrust [N], two force components perpendicular to the tool's axis [N], and torque
+        [N m]; shape (rows, 4).
     low, high
-        Ends of the 90 % uncertainty band at the first n rows, shape (n, 4); None without a band.
+        Ends of the 90 % uncertainty band of `values` in the first n rows, shape (n, 4); None
+        without a band.
     force
         Force on the tool in the world frame [N], shape (rows, 3).
     """
@@ -85,9 +87,9 @@ class Loads:
 
 
 def chosen_over(curves: Sequence[Curve]) -> Over:
-    """Return depth if all tools mainly advance along their axis, else time.
+    """Return ``depth`` if all tools mainly advance along their axis, else ``time``.
 
-    Uncertainty bands of tools that do not follow a given path are drawn over time.
+    If a run has an uncertainty band and its tool does not follow a given path, return ``time``.
     """
     if any(each.band is not None and not each.is_path_given for each in curves):
         return "time"
@@ -103,7 +105,7 @@ def _mainly_descends(trace: "Table") -> bool:
 
 
 def _heights(trace: "Table") -> tuple[Flags, Array]:
-    """Return a mask of rows in contact, and the tip's height along the outward axis [mm]."""
+    """Return a mask of rows in contact, and the tip's coordinate along the outward axis [mm]."""
     axis, outward = facing(trace)
     height = outward * trace.vectors("tool", "mm")[:, axis]
     return trace["contact_mm2"] > 0.0, height
@@ -115,8 +117,9 @@ def overlay(
 ) -> NDArray[np.object_]:
     """Draw thrust, force across the tool and torque of all runs in one figure.
 
-    A component across the tool that is small in all runs has no panel. For two runs, the last panel
-    shows the magnitude of the difference of their forces at the same time or depth.
+    A force component perpendicular to the tool's axis is not drawn if it is small in all runs. For
+    two runs, the last panel shows the magnitude of the vector difference of the two forces at equal
+    time or depth.
 
     Parameters
     ----------
@@ -131,7 +134,7 @@ def overlay(
 
     Returns
     -------
-    The panels, shape (panels,).
+    Matplotlib axes, one for each panel, shape (panels,).
     """
     over = over or chosen_over(curves)
     if over not in ("time", "depth"):
@@ -163,7 +166,7 @@ def overlay(
 def _draw(
     axes: "Axes", curves: Sequence[Curve], loads: Sequence[Loads], at: int, *, scale: float = 1.0
 ) -> None:
-    """Draw one load of all runs, with uncertainty bands."""
+    """Draw column `at` of the loads of all runs, with uncertainty bands."""
     widths = np.linspace(*WIDTHS, len(curves))
     for number, (curve, load) in enumerate(zip(curves, loads, strict=True)):
         colour = _colour(number, len(curves))
@@ -184,7 +187,8 @@ def _draw(
 def _legend(panels: NDArray[np.object_], curves: Sequence[Curve]) -> None:
     """Write the names of the runs above all panels.
 
-    If there are too many names, an evenly spaced selection is written.
+    If there are more than `MOST_NAMED` runs, only the names of an evenly spaced selection are
+    written.
     """
     handles, labels = panels[0].get_legend_handles_labels()
     every = -(-len(curves) // MOST_NAMED)
@@ -227,11 +231,11 @@ def _loads(curve: Curve, over: Over, *, about_axis: bool) -> Loads:
 def _band_ends(
     band: "Band | None", turns: Array, rows: Ints, *, about_axis: bool
 ) -> tuple[Array | None, Array | None]:
-    """Return the ends of an uncertainty band in the tool's frame, each of shape (n, 4).
+    """Return lower and upper end of an uncertainty band in the tool's frame, each of shape (n, 4).
 
-    The quantiles of the band are given for the components in the world frame. The quantiles are
-    valid for the components in the tool's frame only if the axes of both frames are always
-    parallel. Otherwise the result is None.
+    The band contains quantiles of force components in the world frame. Quantiles of the components
+    in the tool's frame follow from them only if the axes of both frames are always parallel.
+    Otherwise the result is None.
     """
     aligned = np.rint(turns[:1])
     # 1e-6: rounding of quaternions in a file
@@ -250,7 +254,7 @@ def _band_ends(
 
 
 def _difference(first: Loads, second: Loads) -> tuple[Array, Array]:
-    """Return times or depths that two runs share, and the magnitude of the force difference."""
+    """Return the times or depths that both runs have, and the force difference there [N]."""
     place = first.place
     common = place[(place >= second.place[0]) & (place <= second.place[-1])]
     apart = _at(common, second.place, second.force) - _at(common, place, first.force)
@@ -271,14 +275,12 @@ def _place(trace: "Table", over: Over, name: str) -> tuple[Ints, Array]:
 
 
 def _at(places: Array, known: Array, vectors: Array) -> Array:
-    """Interpolate vectors between known positions, shape (places, 3)."""
+    """Interpolate vectors at given positions; the result has shape (places, 3)."""
     return np.column_stack([np.interp(places, known, vectors[:, c]) for c in range(3)])
 
 
 def _colour(number: int, count: int) -> object:
-    """Return the colour of a curve: a distinct colour if there are few curves, else one from a
-    scale.
-    """
+    """Return the colour of a curve: from a list for few curves, else from a colour map."""
     if count <= len(COLOURS):
         return COLOURS[number]
     from matplotlib import colormaps

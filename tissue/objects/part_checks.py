@@ -1,4 +1,4 @@
-"""Checks of the parts that users register: name, signature, methods and numbers."""
+"""Checks of the classes and functions that users register as parts of scenes."""
 
 import inspect
 import re
@@ -14,11 +14,11 @@ from meshes.base.text_tables import shown
 from tissue.scene.registry import CUTTERS, TABLES
 
 NAME = "[a-z0-9][a-z0-9_-]*"
-"""Pattern of a part's name."""
+"""Pattern of the name under which a part, such as a tool or a device, can be registered."""
 
 
 def check_name(kind: str, given: object, *, argument: bool = False) -> None:
-    """Refuse a name that is invalid or taken."""
+    """Raise an error if a name is invalid or already in use."""
     pattern = f"{NAME}(:[A-Z]+)?" if argument else NAME
     if not isinstance(given, str) or not re.fullmatch(pattern, given):
         raise InputError(
@@ -38,7 +38,7 @@ def check_name(kind: str, given: object, *, argument: bool = False) -> None:
 
 
 def check_callable(kind: str, given: str, part: object, methods: Sequence[str] = ()) -> None:
-    """Refuse a part that is not callable, or a class that lacks a required method."""
+    """Raise an error if a part is not callable, or is a class without a required method."""
     if not callable(part):
         raise InputError(
             f"{kind} {given}",
@@ -59,7 +59,7 @@ def check_callable(kind: str, given: str, part: object, methods: Sequence[str] =
 
 
 def check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
-    """Refuse a half-section function that cannot be called with the sizes of a tool."""
+    """Raise an error if a function cannot be called with the sizes of a tool as arguments."""
     known = dict.fromkeys(chain.from_iterable(CUTTERS[each].keys for each in CUTTERS.built_in))
     for key in keys:
         if key not in known:
@@ -82,9 +82,7 @@ def check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
 
 
 def check_parameters(kind: str, given: str, part: Any) -> None:
-    """Refuse a class of parameters that is not a subclass of `Part`, or whose `kind` is not the
-    name.
-    """
+    """Raise an error unless a class is a subclass of `Part` with the given name as `kind`."""
     from tissue.scene.anatomy import Part
     from tissue.scene.part import kinds_of
 
@@ -101,7 +99,7 @@ def check_parameters(kind: str, given: str, part: Any) -> None:
 def checked_numbers(
     kind: Any, numbers: Any, *, needed: Sequence[str] = (), of: str = "numbers"
 ) -> dict[str, float]:
-    """Return the values of a class of parameters, from an instance or a checked mapping."""
+    """Return the values in an instance of `kind`, or in a mapping after checks."""
     if isinstance(numbers, kind):
         return asdict(numbers)
     if not isinstance(numbers, Mapping):

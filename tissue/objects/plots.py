@@ -1,4 +1,4 @@
-"""Plots of a trace, and of figures (numbers that summarise a run) over a swept value."""
+"""Plots of a trace, and of summary values of runs over a swept value."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
@@ -24,9 +24,7 @@ PANEL_IN = 2.3
 BAR: dict[str, Any] = {"linewidth": 5.0, "alpha": 0.3}
 """Matplotlib style of a bar for a 90 % interval."""
 Point = tuple[object, Mapping[str, float], Mapping[str, tuple[float, float]]]
-"""Swept value of a run, its figures, and the 90 % intervals of figures that have an uncertainty
-band.
-"""
+"""Swept value of a run, its summary values, and 90 % intervals of some of these values."""
 
 
 @styled
@@ -38,11 +36,11 @@ def plot_columns(
     columns: Iterable[str] | None = None,
     ax: "Axes | None" = None,
 ) -> "NDArray[np.object_]":
-    """Draw columns over time, by default force and torque on the tool, and mark events.
+    """Draw columns of a trace over time, and mark events.
 
     Returns
     -------
-    Axes, shape (panels,), one for each unit.
+    Matplotlib axes, one for each unit, shape (panels,).
     """
     wanted = chosen_panels(trace, columns)
     if ax is not None and len(wanted) > 1:
@@ -73,7 +71,7 @@ def plot_columns(
 
 
 def chosen_panels(trace: Trace, columns: Iterable[str] | None) -> dict[str, list[str]]:
-    """Return the columns to draw, grouped by unit; the default is force and torque.
+    """Return the columns to draw, keyed by unit; the default is force and torque.
 
     Raises
     ------
@@ -102,7 +100,7 @@ def chosen_panels(trace: Trace, columns: Iterable[str] | None) -> dict[str, list
 
 
 def new_panels(count: int) -> "NDArray[np.object_]":
-    """Return stacked axes in a figure of pyplot, which a notebook shows."""
+    """Return `count` axes, one below the other, in a new figure of pyplot."""
     from matplotlib import pyplot
 
     _, panels = pyplot.subplots(
@@ -124,22 +122,22 @@ def plot_figures(
     over: str,
     title: str,
 ) -> NDArray[np.object_]:
-    """Draw figures of runs over a swept value, with a line for each group of runs.
+    """Draw summary values of runs over a swept value, with a line for each group of runs.
 
     Parameters
     ----------
     lines
-        Points of the runs, keyed by the label of the line.
+        Points of each line, keyed by the label of the line. A point belongs to one run.
     names
-        Names of the figures to draw, one in each panel.
+        Names of the summary values to draw, one in each panel.
     over
-        Key of the swept value in the scene.
+        Scene key whose value was swept; it is the horizontal axis.
     title
-        Key by which the lines differ; empty for a single line without a legend.
+        Scene key whose value differs between the lines; empty for a single line without a legend.
 
     Returns
     -------
-    Axes, shape (names,).
+    Matplotlib axes, one for each name, shape (names,).
     """
     from matplotlib import pyplot
 
@@ -188,8 +186,6 @@ def plot_figures(
 
 
 def _place_of(value: Any) -> float | str:
-    """Return the position of a swept value on an axis: a number, or a text if the value is not a
-    number.
-    """
+    """Return a swept value as a number, or as text if it is not a number."""
     is_number = isinstance(value, float | int) and not isinstance(value, bool)
     return value if is_number else str(value)

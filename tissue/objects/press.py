@@ -1,4 +1,4 @@
-"""Press of a tool on an organ: force over depth, and the organ at the end of the press."""
+"""Press of a tool on an organ, with force over depth and the deformed organ as results."""
 
 from __future__ import annotations
 
@@ -32,41 +32,37 @@ if TYPE_CHECKING:
     from tissue.models.organ.soft_organ import SoftOrgan
 
 SLOPE_SHARE = 0.1
-"""Share of the depth over which the stiffness is computed: the last 10 of 100 steps.
-"""
+"""Last share of the depth, over which the stiffness is computed: 10 of 100 steps."""
 FAR = 0.1
 """Largest accepted ratio of a point's distance from the surface to the organ's longest side.
 
 A point farther away is treated as a mistake, for example in the unit. The value is chosen.
 """
 NEAR_M = 1e-4
-"""Distance below which a point counts as lying on the surface [m], for points with rounded digits.
-"""
+"""Distance from the surface below which a point counts as a point of the surface [m]."""
 TOOL_EDGES = 4.0
-"""Number of mesh edges across the diameter of the tool in scenes."""
+"""Recommended number of mesh edges across the diameter of the tool; also the default in scenes."""
 FALLS = 0.05
-"""Accepted relative decrease of the force with depth, because nodes enter the contact in steps."""
+"""Accepted relative decrease of the force with depth, which occurs as nodes enter the contact."""
 LONG = 1.25
-"""Ratio of edge length to recommended length above which a note reports the long edges.
+"""Ratio of edge length to recommended edge length, above which a note is added to the result.
 
 The force error of a press is 4 % if the edges are twice as long as recommended, and 0.1 % if they
 have the recommended length.
 """
 WORDS = {"point_m": "at_mm", "motion": "at_mm", "touch_edge_m": "edges of the mesh"}
-"""Names of the user's arguments, keyed by the names of these arguments in `press`."""
+"""Arguments of the public method that replace arguments of `press` in messages."""
 ACROSS = 7
-"""Number of points along each side of the reachable area at which a loop searches for contact.
+"""Number of tool positions along each axis of the region in which a loop can touch the organ.
 
-The number is chosen. Triangles are searched with a margin around each point, so the points need not
-be close together.
+The nodes that can get into contact are searched with a margin around each position, so the
+positions need not be close together. The number is not measured but chosen.
 """
 LAW_INTERVAL_S = 0.025
-"""Time between two solutions of a hyperelastic law in a loop [s], the default of
-`organ.law_interval_ms`.
-"""
+"""Time between two solutions of the hyperelastic deformation in a loop [s]."""
 TOOL = (0.45, 0.48, 0.52)
 COLOURS = "YlOrRd"
-"""Colour map; small displacements are light."""
+"""Colour map of the displacement; small displacements are light."""
 MATTE: Any = {
     "show_edges": True,
     "edge_opacity": 0.2,
@@ -77,7 +73,7 @@ MATTE: Any = {
 
 
 class Moves(TypedDict):
-    """Arguments that describe the motion of a press; see `tissue.models.organ.press.press`."""
+    """Arguments for the motion of a press; see `tissue.models.organ.press.press`."""
 
     depth_m: float
     speed_m_s: float
@@ -97,10 +93,11 @@ class Press:
     tool
         Tool of the press.
     at_mm, along
-        Target point of the surface [mm] and unit direction of the tool's motion, shape (3,) each.
+        Point of the surface at which the tool presses [mm], and unit vector of the tool's motion,
+        each of shape (3,).
     notes
-        Notes on findings and assumptions, keyed by subject. Read the note `linear` before you use
-        the force of a deep press.
+        Notes on assumptions and on limits of the model, keyed by subject. For a ball, the note
+        ``linear`` states the depth up to which the linear law is valid.
     """
 
     tool: PressingTool
@@ -152,7 +149,7 @@ class Press:
 
     @property
     def stiffness_N_mm(self) -> float:
-        """Slope [N/mm] of the force along the press over depth, in the last tenth of the depth."""
+        """Slope of the force along the press over the last tenth of the depth [N/mm]."""
         depth = self.depth_mm
         force = -self.forces_N @ self.along
         last = int(np.argmax(depth >= depth[-1]))
@@ -162,7 +159,7 @@ class Press:
 
     @cached_property
     def mesh(self) -> pyvista.UnstructuredGrid:
-        """Undeformed organ with the fields at the end of the press, in the frame of the mesh [mm].
+        """Undeformed mesh with displacement, stress and strain at the end of the press [mm].
 
         The point arrays are ``displacement_mm`` and ``reaction_N``. The cell arrays are
         ``von_mises_kPa``, ``principal_stress_kPa``, ``strain_percent`` and ``part``. The array
@@ -182,7 +179,7 @@ class Press:
         Parameters
         ----------
         scalars
-            Field of `mesh` that sets the colour. For a vector field the magnitude is shown.
+            Array of `mesh` that sets the colour. For a vector array the magnitude is shown.
         options
             Options of ``pyvista.Plotter.show``; ``off_screen``, ``notebook`` and ``window_size``
             are passed to the plotter.
@@ -190,7 +187,7 @@ class Press:
         Raises
         ------
         InputError
-            If the mesh does not have this field.
+            If the mesh does not have this array.
         """
         from matplotlib import colormaps
 
@@ -309,7 +306,7 @@ def press_at(
     along: ArrayLike | None,
     **moves: Unpack[Moves],
 ) -> Press:
-    """Press a tool on the surface point nearest to a given point [m].
+    """Press a tool on the surface point that is nearest to a given point.
 
     Parameters
     ----------
@@ -318,16 +315,16 @@ def press_at(
     at_m
         The given point [m], shape (3,).
     along
-        Direction of the tool's motion, shape (3,). None means into the organ, opposite to the mean
-        normal under the tool.
+        Direction of the tool's motion, shape (3,). None: opposite to the mean surface normal under
+        the tool, into the organ.
     moves
         Depth, speed, holding time and progress, as for `tissue.models.organ.press.press`.
 
     Raises
     ------
     InputError
-        If the point is far from the surface, the direction points out of the organ, or the tool has
-        no free path.
+        If the point is far from the surface, the direction points out of the organ, or the path of
+        the tool to the point is blocked.
     """
     from tissue.models.organ.press import press
 
@@ -362,9 +359,9 @@ def press_at(
 
 
 def _require_growing(curve: PressCurve, *, relaxes: bool) -> None:
-    """Refuse a press whose force decreases with depth.
+    """Raise an error if the force of a press decreases with depth.
 
-    In such a press the surface wraps around the tool, which the linear law does not model.
+    The force decreases if the surface wraps around the tool, which the linear law does not model.
     """
     size = np.linalg.norm(curve.force_N, axis=1)
     falls = np.flatnonzero(size < (1.0 - FALLS) * np.maximum.accumulate(size))
@@ -429,7 +426,8 @@ def _linear(probe: ProbeShape, depth_m: float) -> dict[str, str]:
 def _across(along: Any) -> Any:
     """Return a direction perpendicular to a press.
 
-    The direction is as close to -y as possible, or to x if the press is nearly parallel to y.
+    The direction is the component of -y perpendicular to the press, or of x if the press is nearly
+    parallel to y.
     """
     # A press nearly parallel to y leaves no usable perpendicular component of y.
     first = np.array([0.0, -1.0, 0.0]) if abs(along[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
@@ -438,7 +436,7 @@ def _across(along: Any) -> Any:
 
 
 def shaded(body: pyvista.DataSet) -> pyvista.PolyData:
-    """Return the surface of a body with outward normals that show its edges as sharp."""
+    """Return the surface of a body with outward normals for shading; sharp edges stay sharp."""
     surface = body.extract_surface(algorithm="dataset_surface").triangulate()
     # 40 degrees is more than the angles between triangles of a round surface, and less than the
     # angle at an edge.
@@ -448,7 +446,7 @@ def shaded(body: pyvista.DataSet) -> pyvista.PolyData:
 
 
 def new_plotter(options: dict[str, Any]) -> pyvista.Plotter:
-    """Return a plotter with a white background, and remove its options from `options`."""
+    """Return a plotter with a white background; its options are removed from `options`."""
     import pyvista
 
     mine = {
@@ -464,7 +462,7 @@ def new_plotter(options: dict[str, Any]) -> pyvista.Plotter:
 def organ_around(
     organ: SoftOrgan, tool: PressingTool, start_m: Array, axis: Array, *, reach_m: float
 ) -> LiverModel:
-    """Return the model of an organ that a tool can press near the tool's start position.
+    """Return the model of an organ for a loop, prepared for presses near the start of the tool.
 
     The tip of the tool may move from `start_m` by up to `reach_m` [m] in each direction
     perpendicular to `axis`, and by up to `reach_m` opposite to `axis`, into the organ.

@@ -54,18 +54,19 @@ F = TypeVar("F")
 class register:
     """Registration of user-defined parts by name.
 
-    After registration, scenes, messages, the schema, charts and the stability check accept the name
-    of the part.
+    A part is a class or function for one key of a scene, such as a tool, a device or a predictor.
+    After registration, the key accepts the name of the part, and the schema, charts and the
+    stability check include it.
 
-    Each method takes the class or function that makes a part. Without this argument, the method
-    returns a decorator. A name that is in use is refused. A part that lacks a required method is
-    also refused. A registered part is available in this process. An installed package can offer
-    parts to all processes through entry points, in groups such as ``tissue.predictors``.
+    Each method takes a name and the class or function. Without the class or function, the method
+    returns a decorator for it. An error is raised if the name is in use, or if a required method is
+    missing. A registered part is available in this process. An installed package can offer parts to
+    all processes through entry points, in groups such as ``tissue.predictors``.
     """
 
     @staticmethod
     def tool(name: str, profile: F | None = None, *, keys: tuple[str, ...] = ()) -> Any:
-        """Register a rotating cutter that is defined by its half section.
+        """Register a rotating cutter that is defined by a half section through its axis.
 
         Parameters
         ----------
@@ -73,8 +74,8 @@ class register:
             Name that selects the tool in a scene: a value of the key ``tool.kind``.
         profile
             Function that returns a `tissue.cutters.profile.Profile`. Its arguments are
-            ``diameter_m`` and the sizes of `keys`, in metres and radians: ``length_m`` for the key
-            ``length_mm``, ``point_angle_rad`` for the key ``point_angle_deg``.
+            ``diameter_m`` and one argument for each of `keys`, in metres or radians: ``length_m``
+            for the key ``length_mm``, ``point_angle_rad`` for the key ``point_angle_deg``.
         keys
             Keys in a scene's `tool` table that define the shape in addition to the diameter.
         """
@@ -87,7 +88,7 @@ class register:
 
     @staticmethod
     def probe(name: str, make: F | None = None, *, keys: tuple[str, ...] = ("diameter_mm",)) -> Any:
-        """Register a smooth tool that presses; ``make(tool)`` returns its `ProbeShape`."""
+        """Register a smooth pressing tool; ``make(tool)`` returns its `ProbeShape`."""
 
         return _added("probe", name, make, PROBES, lambda part: ProbeEntry(part, tuple(keys)))
 
@@ -96,7 +97,7 @@ class register:
         """Register a needle.
 
         ``make(walls=...)`` returns the `NeedleTissue` that the needle pierces; ``walls`` are the
-        membranes of the scene.
+        membranes in the tissue of the scene.
         """
 
         return _added("needle", name, make, NEEDLES)
@@ -138,8 +139,8 @@ class register:
     ) -> Any:
         """Register a tissue.
 
-        ``build(scene, motion, *, step_s, compute, cores, report)`` returns the objects of a run,
-        such as the motion and the tissue model.
+        ``build(scene, motion, *, step_s, compute, cores, report)`` returns the objects that a run
+        needs, such as the tissue model.
 
         Parameters
         ----------
@@ -152,7 +153,7 @@ class register:
             Function that returns `tissue.simulation.builders.parts.Parts`, which contains a
             `tissue.models.tissue_model.TissueModel`.
         tool
-            Class of the tools for this tissue: ``Tool``, ``Probe`` or ``Needle`` of
+            Class of the tools that can work on this tissue: ``Tool``, ``Probe`` or ``Needle`` from
             `tissue.scene.tool`.
         force_N, pictures, faces
             See `tissue.scene.registry.AnatomyEntry`.
@@ -170,7 +171,7 @@ class register:
         numbers: "Mapping[str, float] | DeviceParameters",
         make: Callable[[tuple[float, float, float]], object] | None = None,
     ) -> Callable[[F], F]:
-        """Register a haptic device: its parameters, and a function that opens the real device.
+        """Register a haptic device by its parameters and a function that opens the real device.
 
         Parameters
         ----------
@@ -182,14 +183,14 @@ class register:
         make
             Function that opens the device for `tissue.simulate` and ``tissue run``. It is called
             with the position [m] at which the tool starts in the scene, and returns a
-            `tissue.haptics.device.device.Device`. Without this function, the simulated hand of the
-            scene holds a simulated device with these parameters. Charts, studies and training
-            always use this simulated hand and device.
+            `tissue.haptics.device.device.Device`. Without this function, runs use a simulated
+            device with the parameters `numbers`, held by a simulated hand. Charts, studies and
+            training always use the simulated device and hand.
 
         Returns
         -------
         Callable
-            Decorator for the class that is `make`.
+            Decorator for `make`, if `make` is not given.
         """
         from tissue.haptics.device.device import DeviceParameters
 
@@ -209,9 +210,9 @@ class register:
 
     @staticmethod
     def hand(name: str, numbers: Mapping[str, float], *, like: str = "expert") -> None:
-        """Register a simulated hand by values of `HandParameters` in SI units.
+        """Register a simulated hand, defined by values of `HandParameters` in SI units.
 
-        Values that are not given are taken from the hand `like`.
+        Values that are not given are taken from the known hand with the name `like`.
         """
         from tissue.haptics.hand.hand import HandParameters
 
@@ -220,10 +221,11 @@ class register:
 
     @staticmethod
     def renderer(name: str, make: F | None = None) -> Any:
-        """Register a rendering law, which ``make(loop)`` returns for a `WallLoop`.
+        """Register a rendering law, which converts contact of the tool into a force at the device.
 
-        The law has the methods `render` and `pause`. The stability check assumes the stiffness
-        ``loop.stiffness_N_m``. It does not detect a law that renders a higher stiffness.
+        ``make(loop)`` returns the law for a `WallLoop`. The law has the methods `render` and
+        `pause`. The stability check assumes that the law renders the stiffness
+        ``loop.stiffness_N_m``, and does not detect a higher stiffness.
         """
         return _added("renderer", name, make, RENDERERS, methods=("render", "pause"))
 
@@ -236,9 +238,9 @@ class register:
     ) -> Any:
         """Register a predictor of the force: a class with the methods `observe` and `predict`.
 
-        The predictor runs under the guard. The guard repeats the last force while the last force
-        has a smaller error than the prediction; see `tissue.prediction.guard`. The stability check
-        includes the predictor.
+        A guard monitors the predictor. While the last force has smaller errors than the predicted
+        forces, the guard uses the last force instead; see `tissue.prediction.guard`. The stability
+        check includes the predictor.
 
         Parameters
         ----------
@@ -261,10 +263,11 @@ class register:
 
     @staticmethod
     def perception(name: str, make: F | None = None) -> Any:
-        """Register a perceptual map, which changes the forces for a person.
+        """Register a perception model, which scales the forces at the device for one person.
 
-        ``make(argument, *, rng, force_limit_N, tick_s, friction_N)`` returns a `Perception`. A name
-        such as ``share:NUMBER`` matches any text after the colon, which is passed as ``argument``.
+        ``make(argument, *, rng, force_limit_N, tick_s, friction_N)`` returns a `Perception`. A
+        model may be registered with a name such as ``share:NUMBER``. A scene may then use any text
+        after the colon, which is passed as ``argument``.
         """
         return _added("perception", name, make, PERCEPTIONS, methods=("step", "pause"))
 
@@ -272,13 +275,13 @@ class register:
     def offered(kind: str, name: str, load: Callable[[], Any]) -> None:
         """Register the part that an entry point of an installed package offers.
 
-        Nothing is added if the import of the part already registers it, for example by a decorator,
-        or if the program has already registered another part under this name.
+        If the import of the part registers it, for example with a decorator, the method adds
+        nothing. If the program has already registered a part under this name, that part is kept.
 
         Raises
         ------
         InputError
-            If the name belongs to a built-in part, or the part cannot be registered.
+            If a built-in part has this name, or the part cannot be registered.
         """
         tables = TABLES[kind]
         if any(name in table.built_in for table in tables):
@@ -299,17 +302,15 @@ class register:
     def material(file: str | Path) -> tuple[str, ...]:
         """Register the materials of a TOML file and return their names.
 
-        The tables of the file are ``[cutting.NAME.CONSTANT]`` for cutting and ``[soft...]`` for
-        organs. Each constant has value, range, source and confidence, as in the files of
-        `tissue/materials`.
+        The tables of the file are ``[cutting.NAME.CONSTANT]`` for materials that are cut, and
+        ``[soft.NAME.CONSTANT]`` for organs. Each constant has value, range, source and confidence,
+        as in the files of `tissue/materials`.
         """
         return _add_materials(Path(file))
 
     @staticmethod
     def scene(file: str | Path) -> str:
-        """Register the scene of a TOML file under its name, for `load_scene` and the command
-        ``tissue``.
-        """
+        """Register the scene in a TOML file under the name that the file states."""
         path = Path(file).resolve()
         name = _scene_name(path)
         SCENES.add(name, path)
@@ -324,7 +325,7 @@ def _added(
     entry: Callable[[Any], Any] = lambda part: part,
     methods: tuple[str, ...] = (),
 ) -> Any:
-    """Validate a part and add its entry to a table; without a part, return a decorator."""
+    """Validate a part and add it to a registry; without a part, return a decorator."""
 
     def add(each: Any) -> Any:
         check_name(kind, name, argument=kind == "perception")
@@ -336,15 +337,13 @@ def _added(
 
 
 SOFT = ("modulus_kPa", "poisson_ratio", "density_kg_m3")
-"""Constants that every soft material has."""
+"""Constants that every material of a soft organ must have."""
 CAPSULE = "_capsule"
-"""End of the names of capsule materials; a capsule is a membrane on an organ and no material of an
-organ.
-"""
+"""Suffix of the names of capsules, which are membranes on organs and no materials of organs."""
 
 
 def _scene_name(path: Path) -> str:
-    """Return the name in a scene file; refuse a name that is in use."""
+    """Return the name in a scene file; raise an error if a scene of this name exists."""
     from tissue.scene.load import library_names
 
     found = _table(path, "scene").get("name")
@@ -361,7 +360,7 @@ def _scene_name(path: Path) -> str:
 
 
 def _add_materials(path: Path) -> tuple[str, ...]:
-    """Add all materials of a file, or no material if one of them is refused."""
+    """Add all materials of a file; if one of them is invalid, add none and raise an error."""
     found = _table(path, "material")
     if not found or any(table not in ("cutting", "soft") for table in found):
         raise InputError(
@@ -384,7 +383,7 @@ def _add_materials(path: Path) -> tuple[str, ...]:
 
 
 def _require_material(path: Path, table: str, material: str, entries: dict[str, Entry]) -> None:
-    """Refuse a material whose name is in use, or that lacks a constant or a source."""
+    """Raise an error if a material's name is in use, or a constant or source is missing."""
     where = f"{table}.{material}"
     if not re.fullmatch(NAME, material) or material in listed(table):
         known = ", ".join(listed(table))

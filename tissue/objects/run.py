@@ -1,4 +1,4 @@
-"""Run with plots, 3D view and uncertainty bands: `tissue.Run`."""
+"""Simulated run with plots, 3D views and uncertainty bands: `tissue.Run`."""
 
 import warnings
 from collections.abc import Iterable
@@ -41,7 +41,7 @@ class Run(engine.Run):
     Parameters
     ----------
     simulated
-        Run of the simulation engine, without plots and views.
+        Result of the simulation engine, which has no plots and views.
 
     Attributes
     ----------
@@ -64,25 +64,27 @@ class Run(engine.Run):
 
     @cached_property
     def timing(self) -> Trace:
-        """Duration of each tick and its stages [µs], keyed by name: ``run.timing["tick_us"]``."""
+        """Computing time of each tick and of its stages [µs]: ``run.timing["tick_us"]``."""
         return Trace(super().timing)
 
     @property
     def summary(self) -> Summary:
-        """Figures (numbers that summarise the run), as in ``summary.json``.
+        """Values that summarise the run, as in ``summary.json``.
 
-        The figures include the volume removed from each layer, forces, the time of the ticks, and
-        the uncertainty band if there is one.
+        They include the volume removed from each layer, forces, the computing time of the ticks,
+        and the uncertainty band if it was computed.
         """
         return super().summary | ({} if self._band is None else {"band": self._band.summary})
 
     def dataset(self) -> "pyvista.ImageData | pyvista.UnstructuredGrid":
         """Return the tissue as a pyvista data set, in the frame of the scene [mm].
 
-        For a tissue of voxels, the data set is an image with the cell arrays ``start`` and
-        ``remaining`` (255 = full), ``layer`` and ``density_kg_m3``. The cell array ``vtkGhostType``
-        hides voxels that are less than half full, so ``run.dataset().plot()`` shows the bone. For a
-        tissue of finite elements, the data set is the mesh of the last frame with its fields.
+        For a tissue of voxels, the data set is an image. Its cell arrays are ``layer``,
+        ``density_kg_m3``, and the filled fraction of each voxel (255 = full) at the start
+        (``start``) and at the end (``remaining``). The cell array ``vtkGhostType`` hides voxels
+        that are less than half full, so ``run.dataset().plot()`` shows the bone. For a tissue of
+        finite elements, the data set is the mesh with the last saved fields, such as displacement
+        and stress.
 
         Raises
         ------
@@ -114,7 +116,7 @@ class Run(engine.Run):
         overwrite: bool = False,
         progress: Progress | None = None,
     ) -> Path:
-        """Write the run, and its uncertainty band if there is one, to a folder.
+        """Write the run, and its uncertainty band if it was computed, to a folder.
 
         See `tissue.simulation.run.Run.save`.
         """
@@ -127,17 +129,17 @@ class Run(engine.Run):
         return path
 
     def _save_band(self, path: Path | None, pictures: bool | str) -> None:
-        """Write the uncertainty band into the folder of the run, if both exist."""
+        """Write the uncertainty band into the run's folder, if there are a band and a folder."""
         if self._band is not None and path is not None:
             from tissue.fitting.bands.band import save_band
 
             save_band(self._band, path, kind=picture_format(pictures))
 
     def _folder(self) -> Path:
-        """Return a folder that contains the files of this run.
+        """Return a folder with the files of this run.
 
-        The result is usually the folder of the run. The result is a temporary folder if the run was
-        not saved, or if the folder of the run now holds another run.
+        If the run was saved and its folder still holds it, this folder is returned. Otherwise the
+        files are written to a temporary folder.
         """
         if self._saved is not None:
             return self._saved.path
@@ -159,12 +161,13 @@ class Run(engine.Run):
             Names of columns, such as ``["removed_mm3", "contact_mm2"]``; default force and torque
             on the tool. Columns with the same unit share a panel.
         ax
-            Axes of matplotlib to draw on, if all columns have the same unit; default axes in a new
-            figure.
+            Matplotlib axes to draw on; possible only if all columns have the same unit. The default
+            is a new figure.
 
         Returns
         -------
-        Axes, shape (panels,). ``run.plot()[0].figure`` is the figure.
+        Matplotlib axes, one for each panel, shape (panels,). The figure is
+        ``run.plot()[0].figure``.
 
         Raises
         ------
@@ -185,29 +188,30 @@ class Run(engine.Run):
         interactive: bool | None = None,
         screenshot: str | Path | None = None,
     ) -> Any:
-        """Show the run in 3D: bone or fields, the tool, its path and its force.
+        """Show the run in 3D: tissue, tool, path of the tool, and force on the tool.
 
         Parameters
         ----------
         time_s
             Time to show [s]; default the time of the largest force.
         field
-            Field to show instead of the bone, such as ``von_mises_MPa``.
+            Computed field to show instead of the plain tissue, such as ``von_mises_MPa``.
         hide
             Names of layers that are not shown.
         scale
             Factor by which the drawn displacement is multiplied.
         interactive
-            Whether the view can be rotated with the mouse. In a notebook this needs the extra
-            ``notebook``. In a script it needs a display, and opens the window of `tissue view`. The
-            default is an interactive view where this is possible.
+            Whether the view can be rotated with the mouse. In a notebook, an interactive view needs
+            the optional packages of ``tissue[notebook]``. In a script, it needs a display, and
+            opens the window of the command `tissue view`. The default is an interactive view where
+            this is possible, otherwise a picture.
         screenshot
-            PNG file to write; an existing one is replaced.
+            PNG file to write; an existing file is replaced.
 
         Returns
         -------
-        In a notebook, an interactive view. In a script with a display, None, after the
-        window was closed. Otherwise a picture of Pillow, which a notebook shows.
+        In a notebook, an interactive view. In a script with a display, None, after the user has
+        closed the window. Otherwise a Pillow image.
 
         Raises
         ------
@@ -232,33 +236,33 @@ class Run(engine.Run):
         pictures: bool | str = True,
         progress: Bar = None,
     ) -> "Band":
-        """Compute the uncertainty band of loads and figures from the ranges of the constants.
+        """Compute uncertainty bands of loads and summary values from ranges of the constants.
 
         See docs/guide/bands.md.
 
         Parameters
         ----------
         samples
-            Number of samples of the constants, rounded up to a power of two. None reads an existing
-            band.
+            Number of random samples of the material constants, rounded up to a power of two. None
+            reads the band that the run's folder contains.
         seed
             Seed of the samples; default the seed of the scene.
         workers
-            Number of processes that run samples in parallel. The number has an effect only if each
-            sample is a run, as for a needle. A script that uses several processes must have its
-            statements below ``if __name__ == "__main__":``.
+            Number of processes that run samples in parallel. It has an effect only if each sample
+            needs a run of its own, as for a needle. A script that uses several processes must have
+            its statements below ``if __name__ == "__main__":``.
         scheduler
-            Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``. Its workers run
-            the samples instead of processes on this machine.
+            Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``. The workers of
+            this scheduler run the samples, instead of processes on this machine.
         each_run
-            Whether to run every sample, even if the loads of all samples can be computed from those
-            of one run. Temperature and stress then have bands too.
+            Whether to run the scene once for every sample, even if the loads of all samples can be
+            computed from the loads of one run. Only then do temperature and stress have bands too.
         compute, cores, progress
             As for `tissue.simulate`.
         pictures
-            Whether to draw pictures, or their format: png, svg or pdf. The band of a saved run is
-            written into the folder of the run. The band of another run is written when the run is
-            saved.
+            Whether to draw pictures, or the format of the pictures: png, svg or pdf. If the run was
+            saved, the band is written into its folder. Otherwise the band is written when the run
+            is saved.
 
         Raises
         ------
@@ -297,7 +301,7 @@ class Run(engine.Run):
         return made
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Return the trace as a table, one row per tick, with the name of the scene in ``attrs``.
+        """Return the trace as a table with one row per tick; ``attrs`` has the name of the scene.
 
         See `Trace.to_pandas`.
         """
@@ -306,7 +310,7 @@ class Run(engine.Run):
         return table
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return the trace over ``time_s``, with the name of the scene in ``attrs``.
+        """Return the trace as a data set over ``time_s``; ``attrs`` has the name of the scene.
 
         See `Trace.to_xarray`.
         """
@@ -327,9 +331,10 @@ class Run(engine.Run):
 
 
 BACKENDS = ("trame_pyvista", "pyvista.trame.jupyter")
-"""Modules of pyvista for interactive views in a notebook, from the extra ``notebook``.
+"""Modules with which pyvista shows interactive views in a notebook.
 
-pyvista 0.49 uses the first module, older versions the second one.
+pyvista 0.49 uses the first module, and older versions use the second module. ``tissue[notebook]``
+installs them.
 """
 
 
@@ -345,14 +350,14 @@ def _is_interactive() -> bool:
 
 GHOSTS = "vtkGhostType"
 HIDDEN = 32
-"""Cell array with which VTK hides cells, and the bit of hidden cells in this array.
+"""Name of the cell array with which VTK hides cells, and bit that marks a hidden cell.
 
 The bit is ``vtkDataSetAttributes::HIDDENCELL``.
 """
 
 
 def _with_empty_hidden(data: Any) -> Any:
-    """Hide voxels that are less than half full, so filters and pictures ignore these voxels.
+    """Hide voxels that are less than half full, so that VTK ignores them.
 
     A mesh is returned unchanged.
     """
@@ -366,7 +371,7 @@ def _with_empty_hidden(data: Any) -> Any:
 def _view_of(
     folder: Path, chosen: dict[str, Any], *, interactive: bool | None, screenshot: Path | None
 ) -> Any:
-    """Show the run of a folder with the chosen time, field, layers and scale.
+    """Show the run in a folder with the chosen time, field, layers and scale.
 
     See `tissue.objects.run.Run.show`.
     """
@@ -405,7 +410,7 @@ def _view_of(
 
 
 def _turned(folder: Path, chosen: dict[str, Any]) -> Any:
-    """Return the interactive view for a notebook; this process draws the view."""
+    """Return an interactive view for a notebook."""
     from tissue.show.viewer.run_scene import Choice
     from tissue.show.viewer.window import Window
     from tissue.simulation.run_folder import SavedRun
@@ -426,7 +431,7 @@ def open_run(path: str | Path) -> Run:
 
 
 def assessed_run(run: Run | str | Path) -> "AssessedRun":
-    """Return the data that an assessment needs, from a run or from the folder of a run."""
+    """Return the data that `tissue.assess` needs, from a run or from the folder of a run."""
     from tissue.evaluation.same_task import AssessedRun
 
     run = run if isinstance(run, Run) else Run.load(run)
@@ -447,7 +452,8 @@ def report(
 ) -> Path:
     """Write a report on a run as one HTML file that needs no network.
 
-    The report shows figures and forces of the run, and the bone or organ in 3D over time.
+    The report shows the summary values and the forces of the run, and the bone or organ in 3D over
+    time.
 
     Parameters
     ----------
@@ -456,8 +462,8 @@ def report(
     out
         HTML file to write; default ``report.html`` in the run's folder.
     against
-        Reference run, or its folder. If it is given, the report contains the assessment of
-        `tissue.assess`.
+        Reference run, or its folder. If it is given, the report also contains the comparison with
+        this run that `tissue.assess` makes.
     overwrite
         Whether to replace an existing file.
     progress
@@ -470,8 +476,9 @@ def report(
     Raises
     ------
     InputError
-        If ``out`` is not given for a run that was not saved, the folder holds no run or damaged
-        files, the file exists, or the reference run belongs to another task.
+        If `out` is not given and the run was not saved, the folder holds no run or damaged files,
+        the output file exists, or anatomy, tool or material of the reference run differ from those
+        of the run.
     """
     from tissue.evaluation.assessment_files import assessed_section
     from tissue.show.report.report import NAME, write_report

@@ -38,7 +38,7 @@ def simulate(
     device: Device | SafeDevice | None = None,
     on_tick: Callable[[int, TickRow], object] | RunObserver | None = None,
 ) -> Run:
-    """Simulate a scene with the settings that meet its fidelity requirement.
+    """Simulate a scene; return the finished run.
 
     Parameters
     ----------
@@ -49,33 +49,35 @@ def simulate(
     cores
         Processor cores to use; default all. The trace does not depend on their number.
     out
-        Folder that receives the trace during the run, so the rows are kept if the process is
-        killed. Without a folder the run stays in memory until `Run.save` is called.
+        Output folder. The trace is written to it during the run, so it is not lost if the process
+        is killed. Without this folder, the run stays in memory until `Run.save` is called.
     overwrite
-        Whether to replace a run that ``out`` already holds.
+        Whether to replace a run that `out` already contains.
     progress
         Whether to show a progress bar, or a function that is called with the name of the current
-        work and its completed share. The default is a bar in a notebook.
+        work and its completed share (0 to 1). The default is a bar in a notebook, and none
+        elsewhere.
     allow_unstable
-        Whether to run a device even if the check predicts that its coupling is unstable.
+        Whether to run even if the stability check predicts that the coupling between device and
+        tool is unstable.
     max_memory_GB
-        Memory that a file of the scene may take [GB]; default half of the free memory.
+        Memory that an input file of the scene may take [GB]; default half of the free memory.
     device
         Device object to use instead of the device that the scene names; the limits of the scene's
-        device apply to it. The default is a simulated device, or the real device that was
-        registered for the name. See `tissue.simulation.simulate.simulate`.
+        device apply to it. By default, the device of the scene is simulated, unless a real device
+        was registered under its name. See `tissue.simulation.simulate.simulate`.
     on_tick
         Function that is called after every tick of 1 ms with the number of the tick and its row of
         the trace, a mapping from column to value. The run ends if the function returns False. The
-        duration of the function is added to the time between two ticks. A
-        `tissue.simulation.simulate.RunObserver` is also called at the start and at the end.
+        ticks wait until the function returns. A `tissue.simulation.simulate.RunObserver` is also
+        called at the start and at the end.
 
     Raises
     ------
     InputError
         If a key has no effect in the scene, the scene cannot be built, the tool never touches the
-        tissue, the coupling of a device is unstable, or ``out`` holds another run. If the device
-        fails, the error is a `DeviceError`.
+        tissue, the coupling of a device is unstable, or `out` holds another run and `overwrite` is
+        not set. If the device fails, the error is a `DeviceError`.
     """
     observers = [OnTick(on_tick) if callable(on_tick) else on_tick] if on_tick else []
     with memory_limit(max_memory_GB), reporting(progress) as report:
@@ -135,9 +137,7 @@ def simulate_live(
 
 
 def _with_fidelity(scene: Scene, report: Progress) -> tuple[Scene, dict[str, str]]:
-    """Return the scene with settings that meet its fidelity requirement, and a note on these
-    settings.
-    """
+    """Return the scene with settings that meet its fidelity requirement, and notes on them."""
     if scene.fidelity is None:
         return scene, {}
     from tissue.evaluation.charts.frontier import with_fidelity

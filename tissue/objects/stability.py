@@ -1,4 +1,4 @@
-"""Stability of a virtual wall on a haptic device, predicted and simulated: `tissue.stability`."""
+"""Stability of a haptic device at a virtual wall, predicted or simulated: `tissue.stability`."""
 
 from dataclasses import dataclass
 
@@ -29,9 +29,9 @@ __all__ = [
 def wall_loop(
     device: str | DeviceParameters, stiffness_N_m: float, *, hand: str | None = None
 ) -> WallLoop:
-    """Return the loop of a device that a hand holds against a rigid virtual wall.
+    """Return the control loop of a haptic device that a hand holds against a virtual wall.
 
-    Use ``dataclasses.replace`` to change the tick, the delay and other fields of the loop.
+    To change its fields, such as the tick and the delay, use ``dataclasses.replace``.
 
     Parameters
     ----------
@@ -41,8 +41,8 @@ def wall_loop(
         Stiffness of the wall [N/m].
     hand
         Hand that holds the device: ``novice``, ``intermediate``, ``expert`` or a registered hand;
-        None for no hand. The reflex of the hand is not included; see `reflex_N_m` and `reflex_s` of
-        `WallLoop`.
+        None for no hand. The hand has no reflex; to add a reflex, set `reflex_N_m` and `reflex_s`
+        of the `WallLoop`.
 
     Raises
     ------
@@ -62,9 +62,9 @@ def growth(loop: WallLoop, *, seconds: float = 4.0) -> float:
     Parameters
     ----------
     loop
-        Loop from `wall_loop`. The loop is simulated sample by sample, as on a device.
+        Loop from `wall_loop`. It is simulated in discrete time, as on a device.
     seconds
-        Duration of the run [s].
+        Simulated duration [s].
     """
     ticks = round(seconds / loop.tick_s / loop.model_ticks) * loop.model_ticks
     return float(growth_while_running([loop], np.array([loop.stiffness_N_m]), ticks=ticks)[0])
@@ -72,13 +72,13 @@ def growth(loop: WallLoop, *, seconds: float = 4.0) -> float:
 
 @dataclass(frozen=True)
 class Knock(WallRun):
-    """Simulated motion of a hand that holds a device on the wall z = 0, tick by tick.
+    """Simulated motion, tick by tick, of a hand that holds a device on a wall at z = 0.
 
     Attributes
     ----------
     given_J
-        Total energy that the motors delivered to the hand [J]. The lag of the motors is included.
-        The energy is negative if the motors absorbed energy.
+        Total energy that the motors of the device delivered to the hand [J]. It is negative if the
+        motors absorbed energy.
     """
 
     given_J: float
@@ -88,19 +88,19 @@ class Knock(WallRun):
 def knock(
     device: str | DeviceParameters, stiffness_N_m: float, *, hand: str = "expert", renderer: str
 ) -> Knock:
-    """Simulate a hand that holds a device on a virtual wall and is pulled off the wall.
+    """Simulate a hand that presses a device against a virtual wall, and disturb it with a force.
 
-    The hand holds the device 5 mm deep. After 0.8 s a force of 2 N pulls the device off the wall
-    for 20 ms. The hand has neither noise nor tremor, so any motion after the pull comes from the
-    loop.
+    The hand holds the device 5 mm inside the wall. After 0.8 s, a force of 2 N pulls the device
+    outward for 20 ms. The hand has neither noise nor tremor. Sustained motion after the pull
+    therefore shows that the control loop is unstable.
 
     Parameters
     ----------
     device, stiffness_N_m, hand
         As for `wall_loop`.
     renderer
-        Law with which the wall is rendered: ``penalty``, ``passivity``, ``proxy`` or a registered
-        law.
+        Law that computes the force of the wall at the device: ``penalty``, ``passivity``, ``proxy``
+        or a registered law.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Comparison of force rendering methods over many simulated trials: `tissue.study`.
+"""Comparison of force rendering methods in many simulated trials: `tissue.study`.
 
 The command `tissue study run` calls these functions.
 """
@@ -18,7 +18,8 @@ __all__ = ["Plan", "StudyFolder", "Trial", "register", "run", "trial"]
 def register(plan: Plan, out: str | Path) -> StudyFolder:
     """Register a plan before its first trial.
 
-    Write ``plan.toml``, which contains measures, tests, exclusions, seeds and power.
+    The function writes ``plan.toml``. The file contains the outcome measures, the statistical tests
+    and their power, the rules for excluding trials, and the seeds.
 
     `run` registers the plan if it is not registered yet. A plan that was edited after registration
     is refused.
@@ -33,7 +34,8 @@ def register(plan: Plan, out: str | Path) -> StudyFolder:
     Raises
     ------
     InputError
-        If the folder holds another study, or a plan that was edited after registration.
+        If the folder holds another study, or the plan in the folder was edited after its
+        registration.
     """
     folder = StudyFolder(Path(out))
     folder.begin(plan)
@@ -51,7 +53,7 @@ def run(
 ) -> StudyFolder:
     """Run the trials of a plan that are not yet in the folder of the study.
 
-    The method ``table("T2")`` of the result returns the figures of task T2.
+    The method ``table("T2")`` of the result returns the results of task T2.
 
     In a script, call this function under ``if __name__ == "__main__":``, because the worker
     processes import the script.
@@ -61,9 +63,9 @@ def run(
     plan
         Plan of the study.
     out
-        Folder of the study. A study that is partly done is continued.
+        Folder of the study. If it contains trials of this study, only the other trials are run.
     workers
-        Number of processes; default one per core. The figures do not depend on this number.
+        Number of processes; default one per core. The results do not depend on this number.
     retry
         Whether to run failed trials again.
     progress
@@ -72,14 +74,14 @@ def run(
     Raises
     ------
     InputError
-        If the folder holds another study, or worker processes end unexpectedly again and again.
+        If the folder holds another study, or worker processes crash repeatedly.
     """
     return run_study(plan, Path(out), workers=workers, retry=retry, report=progress or silent)
 
 
 @suggests_arguments
 def trial(plan: Plan, name: str) -> Trial:
-    """Run one trial of a plan; its figures equal those in the study bit for bit.
+    """Run one trial of a plan; the result is bit-identical to that of the trial in the study.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Sweep: a scene run at all combinations of some values: `tissue.sweep`."""
+"""Sweep: runs of a scene with all combinations of given values: `tissue.sweep`."""
 
 import json
 import re
@@ -36,18 +36,18 @@ if TYPE_CHECKING:
     import pandas
 
 FILES = ("sweep.csv", *(f"sweep.{kind}" for kind in PICTURE_FORMATS), *PLOTTED)
-"""Files of a sweep in addition to its runs."""
+"""Files that a sweep writes in addition to the folders of its runs."""
 LONGEST_NAME = 24
-"""Largest number of letters of a value in a folder name; a number replaces longer values."""
+"""Largest number of letters of a value in a folder name; longer values are numbered instead."""
 MOST_RUNS = 10_000
-"""Largest number of runs of a sweep. At 1 s for each run, the sweep takes three hours."""
+"""Largest number of runs in a sweep; at 1 s for each run, the sweep takes three hours."""
 FIRST_FIGURES = ("peak_force_N", "mean_force_N", "removed_mm3", "tick_median_us")
-"""Figures of the printed table; ``sweep.csv`` has all figures."""
+"""Summary values in the printed table; ``sweep.csv`` has all summary values."""
 OF_MACHINE = ("tick_median_us", "tick_99_percent_us", "missed_deadlines")
 NO_RESULTS = (*OF_MACHINE, "simulated_s", "left_region_s")
-"""Figures of machine load and simulated time, which `Sweep.plot` leaves out."""
+"""Summary values that do not describe the tool's loads; `Sweep.plot` does not draw them."""
 SAME = 1e-9
-"""Largest relative difference of figures that is attributed to rounding."""
+"""Largest relative difference between summary values that is attributed to rounding."""
 
 
 @dataclass(frozen=True)
@@ -57,15 +57,16 @@ class SweptRun:
     Attributes
     ----------
     name
-        Name of the run's folder, formed from the swept keys.
+        Name of the run's folder, formed from the swept keys and their values.
     values
         Values of the swept keys.
     path
         Folder of the run.
     problem
-        Error that ended the run or makes its scene invalid; empty for a finished run.
+        Message of the error that ended the run or makes its scene invalid; empty for a finished
+        run.
     scene
-        Scene; None if the values make no valid scene.
+        Scene of the run; None if the values make no valid scene.
     """
 
     name: str
@@ -76,17 +77,17 @@ class SweptRun:
 
     @cached_property
     def figures(self) -> dict[str, float]:
-        """Figures (summary numbers), keyed by names with units; empty for a run with a problem."""
+        """Summary values, keyed by names with units; empty for a run with a problem."""
         return {} if self.problem else figures_of(read_summary(self.path))
 
     @cached_property
     def intervals(self) -> dict[str, tuple[float, float]]:
-        """90 % intervals of the figures that have an uncertainty band."""
+        """90 % intervals of the summary values that have an uncertainty band."""
         return {} if self.problem else intervals_of(read_summary(self.path))
 
     @cached_property
     def note(self) -> str:
-        """Reason why the run did not finish its path; empty if the run finished its path.
+        """Reason why the tool did not reach the end of its path; empty if it reached the end.
 
         The reason is also empty for a run with a problem.
         """
@@ -98,12 +99,12 @@ class SweptRun:
 
 
 class Sweep:
-    """Results of a scene at all combinations of some values.
+    """Results of a scene with all combinations of given values.
 
     Attributes
     ----------
     keys
-        Keys that were swept.
+        Scene keys whose values were varied.
     runs
         All runs, including runs with a problem.
     """
@@ -119,23 +120,24 @@ class Sweep:
 
     @property
     def failures(self) -> dict[str, str]:
-        """Problems, keyed by the name of the run."""
+        """Error messages of the runs with a problem, keyed by the name of the run."""
         return {each.name: each.problem for each in self.runs if each.problem}
 
     @property
     def notes(self) -> dict[str, str]:
-        """Reasons why runs did not finish their paths, keyed by the name of the run."""
+        """Reasons why tools did not reach the ends of their paths, keyed by the name of the run."""
         return {each.name: f"the path is {each.note}" for each in self.runs if each.note}
 
     @property
     def figure_names(self) -> list[str]:
-        """Names of the figures that the runs have, with units."""
+        """Names of the summary values of the runs, with units."""
         return list(dict.fromkeys(name for each in self.runs for name in each.figures))
 
     def rows(self) -> tuple[list[str], list[list[object]]]:
         """Return titles and rows of a table with one row per run.
 
-        A row has the values, the figures, the problem, the folder and the note of the run.
+        A row has the swept values, the summary values, the problem, the folder and the note of the
+        run.
         """
         names = self.figure_names
         rows = []
@@ -145,7 +147,7 @@ class Sweep:
         return [*self.keys, *names, "problem", "run", "note"], rows
 
     def texts(self) -> tuple[list[str], list[list[str]]]:
-        """Return column titles and rows of a short table: the swept values and `FIRST_FIGURES`."""
+        """Return column titles and rows of a short table: swept values and main summary values."""
         names = [name for name in FIRST_FIGURES if name in self.figure_names]
         rows = []
         for each in self.runs:
@@ -160,22 +162,23 @@ class Sweep:
         return needed("pandas", extra="pandas").DataFrame(rows, columns=titles)
 
     def compare(self) -> Comparison:
-        """Compare the finished runs; raises `InputError` if there are fewer than two."""
+        """Compare the finished runs; raises `InputError` if fewer than two runs are finished."""
         return Comparison({each.name: each.open() for each in self.finished})
 
     def plot(self, figures: list[str] | None = None) -> NDArray[np.object_]:
-        """Plot figures over the first swept key, with a line for each value of the second key.
+        """Plot summary values over the first swept key; each value of the second key is a line.
 
-        Wide bars are the 90 % intervals of figures that have an uncertainty band.
+        Wide bars show 90 % intervals, if the runs have uncertainty bands.
 
         Parameters
         ----------
         figures
-            Names from `figure_names`. The default is the results that differ between the runs.
+            Names from `figure_names`. The default is the summary values that differ between the
+            runs.
 
         Returns
         -------
-        The panels, shape (figures,).
+        Matplotlib axes, one for each summary value, shape (figures,).
 
         Raises
         ------
@@ -206,7 +209,7 @@ class Sweep:
         return plot_figures(lines, names, over=over, title="".join(second))
 
     def _differing(self) -> list[str]:
-        """Return the results that differ between finished runs by more than rounding."""
+        """Return names of summary values that differ between runs by more than rounding."""
         differing = []
         for name in self.figure_names:
             values = [each.figures.get(name, np.nan) for each in self.finished]
@@ -217,7 +220,7 @@ class Sweep:
     def write(self, out: Path, formats: Sequence[str] = ()) -> None:
         """Write ``sweep.csv`` and, if several runs are finished, plots and traces of these runs.
 
-        The formats are those of `tissue.objects.comparison.Comparison.save`.
+        For the formats, see `tissue.objects.comparison.Comparison.save`.
         """
         from matplotlib import pyplot
 
@@ -259,37 +262,38 @@ def sweep(
     allow_unstable: bool = False,
     progress: Bar = None,
 ) -> Sweep:
-    """Run a scene at all combinations of values, each run in its own folder.
+    """Run a scene with all combinations of given values, each run in its own folder.
 
     Finished runs in the folder are kept. The same call therefore continues a sweep that was
-    stopped, and a call with more values adds the runs of the new values. A combination that cannot
-    be run is listed and does not stop the other runs.
+    stopped. A call with additional values runs only the new combinations. A combination that cannot
+    be run is listed in `Sweep.failures`, and the other runs continue.
 
     Parameters
     ----------
     scene
         A scene, a built-in name or a TOML file.
     changes
-        Values by dotted key: ``{"motion.feed_mm_s": [2.0, 4.0], "tool.spin_rpm": [800, 1600]}``.
+        Values of each varied scene key: ``{"motion.feed_mm_s": [2.0, 4.0], "tool.spin_rpm": [800,
+        1600]}``.
     out
         Folder of the runs. ``sweep.csv`` and ``sweep.png`` contain the results of each run, and
         ``compare.png`` shows the loads.
     workers
-        Number of parallel processes, each with one core unless ``cores`` is larger. With several
-        processes, ticks take longer. A script that uses several processes must have its statements
-        below ``if __name__ == "__main__":``. The processes know the materials, tools and other
-        parts of installed packages, and those that the script registers above that line.
+        Number of parallel processes. With several processes, each process uses one core unless
+        `cores` is given, and ticks take longer. A script that uses several processes must have its
+        statements below ``if __name__ == "__main__":``. Materials, tools and other parts that the
+        script registers above that line are available in the processes.
     compute, cores, allow_unstable
         As for `tissue.simulate`.
     pictures
         Whether each run draws its pictures, in the first picture format of `formats`.
     formats
-        Formats of the pictures, png, svg or pdf (default png), and formats in which the traces of
-        all runs are written as one table, ``traces.FORMAT``: parquet, npz, mat or h5.
+        Formats of the pictures: png, svg or pdf; default png. Formats of ``traces.FORMAT``, one
+        table with the traces of all runs: parquet, npz, mat or h5.
     band
-        Number of samples of the material constants in their published ranges, as for `Run.band`.
-        Each run then has an uncertainty band, and ``compare.png`` shows the bands. Finished runs
-        without a band are run again.
+        Number of samples of the material constants, as for `Run.band`. If it is given, each run has
+        an uncertainty band, and ``compare.png`` shows the bands. Finished runs without a band are
+        run again.
     overwrite
         Run finished runs again.
     progress
@@ -298,8 +302,9 @@ def sweep(
     Raises
     ------
     InputError
-        If a value makes an invalid scene in every combination, a file is missing, the folder holds
-        runs of other scenes under the same names, or a format or the number of samples is invalid.
+        If a value makes an invalid scene in every combination, or a file is missing. If the folder
+        holds runs of another scene under the same names. If a format or the number of samples is
+        invalid.
     """
     out = Path(out)
     formats = tuple(formats)
@@ -335,7 +340,7 @@ def sweep(
 def planned(
     scene: Scene | str | Path, changes: Mapping[str, Iterable[object]], out: Path
 ) -> list[SweptRun]:
-    """Return the runs of all combinations of values; the last key varies fastest.
+    """Return the runs of a sweep before they are run; the value of the last key varies fastest.
 
     Raises
     ------
@@ -374,7 +379,7 @@ def planned(
 
 
 def _listed(key: str, values: Iterable[object]) -> list[object]:
-    """Return the values of a key as plain Python values, also from NumPy arrays."""
+    """Return the values of a key as a list of plain Python values; arrays are converted."""
     found: list[object] = []
     if isinstance(values, Iterable) and not isinstance(values, str | Mapping):
         found = list(islice(values, MOST_RUNS + 1))
@@ -386,7 +391,8 @@ def _listed(key: str, values: Iterable[object]) -> list[object]:
 def _words(key: str, values: Sequence[object], swept: Mapping[str, object]) -> list[str]:
     """Return parts of folder names for the values of a key.
 
-    A part is a key and a value. If the last word of a key is unique, only this word is used.
+    A part is a text such as ``feed_mm_s=2``. The table of the key is left out unless two swept keys
+    differ only in the table.
     """
     last = key.rpartition(".")[2]
     short = last if sum(other.rpartition(".")[2] == last for other in swept) == 1 else key
@@ -402,7 +408,7 @@ def _words(key: str, values: Sequence[object], swept: Mapping[str, object]) -> l
 def _unfinished(
     runs: list[SweptRun], *, overwrite: bool, band: int | None = None
 ) -> list[tuple[SweptRun, bool]]:
-    """Return the remaining runs, each with a flag: whether it may replace a run of the same scene.
+    """Return the runs to be done, each with True if it may replace an earlier run in its folder.
 
     Raises
     ------
@@ -429,9 +435,9 @@ def _unfinished(
 
 
 def _holds(path: Path, scene: Scene) -> bool:
-    """Return whether a run's folder holds this scene.
+    """Return whether the folder holds a run of this scene.
 
-    For a scene that requires a fidelity, the folder holds the scene with the chosen settings.
+    If the scene requires a fidelity, it is compared with the settings that meet this requirement.
     """
     from tissue.evaluation.charts.frontier import with_fidelity
 
@@ -444,7 +450,7 @@ def _holds(path: Path, scene: Scene) -> bool:
 def _results(
     run: "partial[str]", left: list[tuple[SweptRun, bool]], *, workers: int, report: Progress
 ) -> Iterator[tuple[str, str]]:
-    """Run the remaining runs; yield the name and the problem (or an empty text) of each one."""
+    """Run the remaining runs; yield the name, and the error message or an empty text, of each."""
     total = len(left)
     jobs = [
         (each.path, each.scene.model_dump_json(exclude_unset=True), replaces)
@@ -472,7 +478,7 @@ def _share(report: Progress, name: str, number: int, total: int, doing: str, sha
 
 
 def _same_share(report: Progress, doing: str, share: float = 1.0) -> None:
-    """Report a message with the completed share 1, at which a progress bar stays."""
+    """Report a message with the completed share 1, whatever the given share is."""
     report(doing, 1.0)
 
 
@@ -484,7 +490,7 @@ def _run(
     band: int | None,
     **settings: Any,
 ) -> str:
-    """Simulate and save one run; return its problem, or an empty text.
+    """Simulate and save one run; return the message of an error, or an empty text.
 
     `job` contains the folder of the run, its scene as JSON, and whether the run may replace an
     earlier run in the folder.

@@ -1,4 +1,4 @@
-"""Pressing tools as objects, with the shapes that `tool.kind` of a scene can name."""
+"""Rigid tools that press an organ: balls, punches and tools from files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SIZES_MM = (0.5, 100.0)
 
 @dataclass(frozen=True, eq=False)
 class PressingTool:
-    """Rigid pressing tool; `ball`, `flat_punch` and `probe_from_file` return one."""
+    """Rigid tool that presses an organ; made by `ball`, `flat_punch` or `probe_from_file`."""
 
     probe: Probe
     name: str
@@ -32,7 +32,7 @@ class PressingTool:
 
     @cached_property
     def shape(self) -> ProbeShape:
-        """Shape of the tool for contact."""
+        """Shape of the tool for the contact computation."""
         from tissue.simulation.builders.organ_scene import probe_of
 
         keys = {f"tool.{key}": key for key in ("file", "scale_mm", "diameter_mm")}
@@ -41,9 +41,7 @@ class PressingTool:
 
     @property
     def surface(self) -> pyvista.PolyData:
-        """Surface in the frame of the tool [mm]. The tip is at the origin; z points from the tip to
-        the shank.
-        """
+        """Surface in the frame of the tool [mm]: tip at the origin, z axis from tip to shank."""
         from tissue.show.figures.tool_mesh import tool_surface
 
         drawn = tool_surface(self.probe)
@@ -77,9 +75,9 @@ def flat_punch(*, diameter_mm: float) -> PressingTool:
 
 @suggests_arguments
 def probe_from_file(file: str | Path, *, scale_mm: float = 1.0) -> PressingTool:
-    """Read a rigid tool of any shape from a closed surface.
+    """Read a rigid pressing tool from a file with a closed surface.
 
-    In the frame of the file, the origin is the tip, and the z axis points to the shank.
+    In the frame of the file, the tip must be at the origin, and the z axis must point to the shank.
 
     Parameters
     ----------

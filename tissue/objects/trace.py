@@ -1,4 +1,4 @@
-"""Trace and timing for notebooks: columns that convert to pandas, xarray and HTML."""
+"""Trace of a run: columns that convert to pandas, xarray and HTML."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -49,8 +49,7 @@ class Trace(dict[str, NDArray[Any]], Table):
         return Table.__getitem__(self, name)  # raises an error that lists the known columns
 
     def to_pandas(self) -> "pandas.DataFrame":
-        """Return a table with one row per tick. Layers are categories, and column names contain
-        units.
+        """Return a table with one row per tick; layers are categories, column names contain units.
 
         Raises
         ------
@@ -110,7 +109,7 @@ class Trace(dict[str, NDArray[Any]], Table):
 
 
 def needed(name: str, *, extra: str) -> Any:
-    """Import and return a module that an optional extra installs.
+    """Import and return a module of an optional dependency.
 
     Raises
     ------

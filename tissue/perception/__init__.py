@@ -1,4 +1,4 @@
-"""Perceptual scaling of force: intensity, threshold, estimate and command for an observer."""
+"""Scaling of forces for an observer, a person or a model of a person who perceives them."""
 
 from tissue.perception.perceived import Perception
 

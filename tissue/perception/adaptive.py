@@ -1,7 +1,7 @@
-"""Estimation of the perception parameters of one person.
+"""Estimation of the parameters of one person's force perception.
 
-The threshold is estimated from adaptive comparisons (QUEST+), and Stevens' law from magnitude
-estimation.
+The threshold for force differences is estimated from adaptive comparisons of two forces (QUEST+).
+Stevens' power law is estimated from forces that the person rates with numbers.
 """
 
 from dataclasses import dataclass
@@ -16,36 +16,36 @@ from meshes.base.errors import InputError, require_positive, require_range
 from tissue.perception.laws import two_interval
 
 EDGE_MASS = 0.05
-"""Largest accepted posterior mass in the outermost cells of the grid of Weber fractions.
+"""Largest accepted posterior mass in the outermost two cells at each bound of the Weber fraction.
 
-With a larger mass, the prior dominates the data.
+With a larger mass, the bound of the prior determines the estimate more than the data.
 """
 BASES_N = (0.3, 0.8, 2.0)
 STEP_COUNT = 25
-"""Number of steps at each base force; `BASES_N` has the base forces [N].
+"""Number of steps (differences of two forces) for each base force in `BASES_N` [N].
 
-A base force is the smaller force of a pair. The base forces are below, above and far above the
-low-force term. The RMS error of the threshold of 300 simulated observers after 80 trials is 20 %.
-With one base force instead of three, or with 12 or 50 steps, the error is between 19 and 21 %.
+A base force is the smaller force of a pair. With these values, the RMS error of the threshold is 20
+% (300 simulated observers, 80 trials). With one base force instead of three, or with 12 or 50
+steps, the error is between 19 and 21 %.
 """
 STEPS = (0.005, 1.5)
-"""Smallest and largest step of a pair, divided by the base force plus `LOW_FORCE_N`.
+"""Smallest and largest step of a pair of forces, divided by (base force + `LOW_FORCE_N`).
 
-The thresholds of the prior are 0.015 to 0.6 of this sum, and thus lie between the smallest and the
-largest step.
+The range contains the thresholds of the prior, which are 0.015 to 0.6 in the same ratio.
 """
 LOW_FORCE_N = 0.2
-"""Low-force term of Weber's law that scales the steps, and median of its prior [N].
+"""Median of the prior of the low-force term in Weber's law [N].
 
-The range in `tissue/materials/perception.toml` is 0.1 to 0.3 N (low confidence).
+The threshold is the Weber fraction times (force + low-force term). The range of the term in
+`tissue/materials/perception.toml` is 0.1 to 0.3 N (low confidence).
 """
 LARGEST_LAPSE = 0.2
 LAPSE_POWER = 2.5
 LAPSE_PRIOR = (0.5, 5.0)
-"""Parameters of the Beta prior of the lapse rate.
+"""Parameters of the Beta prior of the lapse rate, the share of accidental wrong answers.
 
-The grid of lapse rates ends at `LARGEST_LAPSE`. The edges of its cells are at equal steps, raised
-to the power `LAPSE_POWER`.
+The prior is evaluated on a grid whose cell edges are `LARGEST_LAPSE` times x ** `LAPSE_POWER`, for
+equally spaced x from 0 to 1.
 
 With cells of equal width (exponent 1) the bias of the threshold is -4 %. With exponents of 2.5 and
 4, and with largest lapse rates of 0.1 and 0.4, the bias is 1.4 % or less (300 simulated observers,
@@ -54,47 +54,50 @@ With cells of equal width (exponent 1) the bias of the threshold is -4 %. With e
 
 
 MAGNITUDE_FORCES_N = (0.3, 0.5, 0.8, 1.3, 2.0, 3.2)
-"""Forces that the observer rates with numbers [N], in equal ratios."""
+"""Forces that the observer rates with numbers [N]; successive forces have about equal ratios."""
 PRIOR_MEAN = (0.0, 1.4)
-"""Prior means of ln alpha and beta.
+"""Prior means of ln alpha and beta in Stevens' law, intensity = alpha (force / 1 N) ** beta.
 
-The mean of beta is between the exponents for palm pressure (1.1) and muscle force (1.7).
+The mean of beta is between the published exponents for pressure on the palm (1.1) and for muscle
+force (1.7).
 """
 PRIOR_WEIGHT = 1.0 / 16.0
-"""Prior precision of ln alpha and beta, relative to the precision of one reported number.
+"""Prior precision of ln alpha and beta, in units of the precision of one reported number.
 
-For a scatter of 0.25 the prior standard deviation is 1.
+If reported numbers have a relative scatter of 0.25, the prior standard deviation is 1.
 """
 PRIOR_SHAPE = 2.0
 PRIOR_SCALE = 0.12
-"""Scale of the inverse-gamma prior of sigma^2; its shape is `PRIOR_SHAPE`.
+"""Scale of the inverse-gamma prior of sigma^2, whose shape is `PRIOR_SHAPE`.
 
-The prior mean of sigma^2 is 0.12, which corresponds to a scatter of about 0.3.
+sigma is the relative scatter of reported numbers. The prior mean of sigma^2 is 0.12, which
+corresponds to a scatter of about 0.3.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThresholdPrior:
-    """Prior of Weber fraction, low-force term and lapse rate before the first trial, on a grid.
+    """Prior of Weber fraction, low-force term and lapse rate on a grid.
 
     The Weber fraction has a log-normal prior between two bounds. The low-force term has a
-    log-normal prior with median 0.2 N within 0.05 to 0.8 N. One standard deviation is a factor of
-    1.65. The prior of the lapse rate is Beta(0.5, 5) up to 0.2. This prior has the same mean as the
-    prior Beta(1, 10) of Schuett et al. (2016), and half of its weight. Cells of the Weber fraction
-    have equal width in its logarithm. Cells of the lapse rate are narrow at small rates. Otherwise
-    the thresholds of observers with few lapses would be estimated 12 % too low.
+    log-normal prior between 0.05 and 0.8 N, with a median of 0.2 N and a standard deviation of a
+    factor of 1.65. The lapse rate (share of accidental wrong answers) has the prior Beta(0.5, 5),
+    truncated at 0.2. Schuett et al. (2016) use Beta(1, 10), which has the same mean and twice the
+    weight. Grid cells of the Weber fraction have equal width in the logarithm. Grid cells of the
+    lapse rate are narrow at small rates. Otherwise the thresholds of observers with few lapses
+    would be estimated 12 % too low.
 
     Attributes
     ----------
     weber
-        Median of the Weber fraction. Pang, Tan and Durlach (1991) found 7 %. At low forces the
+        Median of the Weber fraction. Pang, Tan and Durlach (1991) measured 7 %. At low forces, the
         fraction is up to four times larger.
     weber_log_spread
         Standard deviation of the logarithm of the Weber fraction.
     lowest, highest
-        Bounds of the Weber fraction.
+        Lower and upper bound of the Weber fraction.
     cells, offset_cells, lapse_cells
-        Number of cells for Weber fraction, low-force term and lapse rate.
+        Numbers of grid cells for Weber fraction, low-force term and lapse rate.
     """
 
     weber: float = 0.09
@@ -119,19 +122,19 @@ class ThresholdPrior:
 
     @property
     def weber_edges(self) -> Array:
-        """Edges of the cells of the Weber fraction, shape (cells + 1,)."""
+        """Edges of the grid cells of the Weber fraction, shape (cells + 1,)."""
         return np.geomspace(self.lowest, self.highest, self.cells + 1)
 
     @property
     def webers(self) -> Array:
-        """Centres of the cells of the Weber fraction, shape (cells,)."""
+        """Centres of the grid cells of the Weber fraction, shape (cells,)."""
         edges = self.weber_edges
         return np.sqrt(edges[1:] * edges[:-1])
 
     def parameters(self) -> tuple[Array, Array, Array, Array]:
-        """Return Weber fractions, low-force terms [N], lapse rates and prior masses of the grid.
+        """Return Weber fraction, low-force term [N], lapse rate and prior mass of each grid point.
 
-        Each array has shape (n,), for the n points of the grid.
+        Each of the four arrays has shape (n,), for the n grid points.
         """
         offsets = (
             # From LOW_FORCE_N / 4 to 4 LOW_FORCE_N, nearly three standard deviations of the prior.
@@ -156,17 +159,18 @@ class ThresholdPrior:
 def comparisons(
     bases_N: tuple[float, ...] = BASES_N, *, force_limit_N: float = 3.3
 ) -> tuple[Array, Array]:
-    """Return base forces and steps [N] of the possible pairs, each of shape (n,).
+    """Return the pairs of forces that may be compared: base forces and steps [N], shape (n,) each.
 
-    At each base force, successive steps have equal ratios.
+    The forces of a pair are base force and base force plus step. At each base force, successive
+    steps have equal ratios.
 
     Parameters
     ----------
     bases_N
-        Smaller forces of the pairs [N].
+        Base forces of the pairs [N].
     force_limit_N
-        Largest force of the device [N]; no force of a pair is larger. The default is the limit of a
-        Touch.
+        Largest force that the device can play [N]; pairs with a larger force are left out. The
+        default is the limit of the haptic device Touch.
     """
     bases = np.repeat(bases_N, STEP_COUNT)
     steps = np.tile(np.geomspace(*STEPS, STEP_COUNT), len(bases_N)) * (bases + LOW_FORCE_N)
@@ -175,30 +179,29 @@ def comparisons(
 
 
 class AdaptiveThreshold:
-    """Posterior of observers' thresholds, and choice of the most informative comparisons.
+    """Adaptive estimation of force thresholds, from comparisons of two forces.
 
-    The chosen comparison has the smallest expected entropy of the posterior. This comparison also
-    has the largest mutual information between answer and parameters. The mutual information is the
-    entropy of the answer minus the mean entropy of the answer for known parameters. The likelihoods
-    of the comparisons at the points of the grid, and their entropies, are computed in advance as
-    matrices. A trial then takes two matrix-vector products. The rule is from QUEST+ (Watson, 2017).
-    The computation with matrices is specific to this project.
+    `propose` chooses the comparison for which the posterior after the answer has the smallest
+    expected entropy. This rule is from QUEST+ (Watson, 2017). It is equivalent to the largest
+    mutual information between the answer and the parameters. Likelihoods and entropies of all
+    comparisons at all grid points are computed in advance, so a trial takes two matrix-vector
+    products.
 
     Parameters
     ----------
     prior
         Prior before the first trial.
     stimuli
-        Base forces and steps [N] of the possible pairs; default `comparisons()`.
+        Base forces and steps of the pairs that may be compared [N]; default `comparisons()`.
     observers
-        Number of observers that answer in parallel. Each observer has a posterior.
+        Number of observers that answer in parallel. Each observer has a separate posterior.
 
     Attributes
     ----------
     base_N, step_N
-        Base forces and steps of the possible comparisons [N], each of shape (n,).
+        Base forces and steps of the pairs that may be compared [N], each of shape (n,).
     posterior
-        Probability masses of the points of the grid, shape (points, observers).
+        Probability masses of the grid points, shape (points, observers).
     """
 
     def __init__(
@@ -221,7 +224,7 @@ class AdaptiveThreshold:
     def propose(self) -> NDArray[np.intp]:
         """Return the index of the most informative comparison of each observer, shape (observers,).
 
-        This comparison has the smallest expected entropy of the posterior.
+        The index refers to `base_N` and `step_N`.
         """
         # If rounding made a share equal to 1, its entropy 0 log 0 would be NaN.
         right = np.clip(self._right @ self.posterior, 1e-12, 1.0 - 1e-12)
@@ -229,20 +232,19 @@ class AdaptiveThreshold:
         return np.argmax(marginal - self._entropy @ self.posterior, axis=0)
 
     def answer(self, asked: NDArray[np.intp], correct: Flags) -> None:
-        """Update with the answer of each observer, right or wrong, to the comparison asked."""
+        """Update the posterior with the answer of each observer to a comparison."""
         likelihood = self._right[asked].T
         self.posterior *= np.where(correct, likelihood, 1.0 - likelihood)
         self.posterior /= self.posterior.sum(axis=0)
 
     def weber_masses(self) -> Array:
-        """Return the posterior of the Weber fraction alone, shape (cells, observers)."""
+        """Return the marginal posterior of the Weber fraction, shape (cells, observers)."""
         return self.posterior.reshape(self.prior.cells, -1, self.posterior.shape[1]).sum(axis=1)
 
     def weber(self) -> tuple[Array, Array]:
-        """Return the geometric mean and log spread of the Weber fraction.
+        """Return the geometric mean and the logarithmic spread of the Weber fraction.
 
-        The log spread is the standard deviation of the logarithm. Each array has shape
-        (observers,).
+        The spread is the standard deviation of the logarithm. Both arrays have shape (observers,).
         """
         return self._log_moments(self._weber)
 
@@ -251,23 +253,23 @@ class AdaptiveThreshold:
         return self._log_moments(self._offset)[0]
 
     def _log_moments(self, values: Array) -> tuple[Array, Array]:
-        """Return the geometric mean of a positive quantity and the spread of its logarithm.
+        """Return the geometric mean of a quantity, and the standard deviation of its logarithm.
 
-        `values` holds the quantity at the points of the grid.
+        `values` contains the quantity, which is positive, at the grid points.
         """
         logs = np.log(values)
         mean = logs @ self.posterior
         return np.exp(mean), np.sqrt(np.maximum(logs**2 @ self.posterior - mean**2, 0.0))
 
     def lapse(self) -> Array:
-        """Return the mean of the lapse rate, shape (observers,)."""
+        """Return the posterior mean of the lapse rate, shape (observers,)."""
         return self._lapse @ self.posterior
 
     def weber_quantiles(self, shares: Array) -> Array:
         """Return quantiles of the Weber fraction, shape (n, observers), at n probabilities.
 
-        ``shares`` has the probabilities. Within a cell, the quantiles are interpolated linearly in
-        the logarithm.
+        `shares` contains the probabilities. Within a grid cell, the quantiles are interpolated
+        linearly in the logarithm.
         """
         edges = np.log(self.prior.weber_edges)
         below = np.vstack(
@@ -276,10 +278,10 @@ class AdaptiveThreshold:
         return np.exp(np.column_stack([np.interp(shares, column, edges) for column in below.T]))
 
     def edge_mass(self) -> tuple[Array, Array]:
-        """Return the posterior mass in the two outermost cells at each bound of the Weber fraction.
+        """Return the posterior mass near the lower and near the upper bound of the Weber fraction.
 
-        The first array belongs to the lower bound, and the second array to the upper bound. Each
-        array has shape (observers,).
+        Each of the two arrays has shape (observers,), and contains the mass in the two grid cells
+        next to the bound.
         """
         # Two of the default cells cover 12 % of the Weber fraction.
         masses = self.weber_masses()
@@ -288,10 +290,11 @@ class AdaptiveThreshold:
 
 @dataclass(frozen=True)
 class MagnitudePosterior:
-    """Normal-inverse-gamma posterior of the parameters in ln S = ln alpha + beta ln F + sigma e.
+    """Posterior of Stevens' law ln S = ln alpha + beta ln F + sigma e for reported numbers.
 
-    S is the reported number, F the force, and e a random number with a standard normal
-    distribution. Source: Gelman et al., 2013, section 14.2.
+    S is the reported number, F the force [N], and e a random number with a standard normal
+    distribution. The posterior is a normal-inverse-gamma distribution. Source: Gelman et al., 2013,
+    section 14.2.
 
     Attributes
     ----------
@@ -321,24 +324,25 @@ class MagnitudePosterior:
         )
 
     def exponent_at(self, shares: ArrayLike) -> Array:
-        """Return the quantiles of the exponent beta at the probabilities ``shares``."""
+        """Return the quantiles of the exponent beta at the probabilities in `shares`."""
         width = np.sqrt(self.scale / self.shape * np.linalg.inv(self.precision)[1, 1])
         return self.mean[1] + width * t.ppf(shares, 2.0 * self.shape)
 
 
 def fit_magnitudes(forces_N: ArrayLike, numbers: ArrayLike) -> MagnitudePosterior:
-    """Compute the posterior from reported numbers.
+    """Compute the posterior of Stevens' law from reported numbers.
 
-    Without numbers, the result is the prior.
+    For empty arrays, the result is the prior.
 
-    The factor alpha includes the observer's use of numbers, which cannot be separated from it.
+    The factor alpha depends on the scale of numbers that the observer has chosen. It therefore does
+    not measure the perceived intensity alone.
 
     Parameters
     ----------
     forces_N
         Forces [N], positive, shape (n,).
     numbers
-        Numbers reported for the forces, positive, shape (n,).
+        Numbers with which the observer rated the forces, positive, shape (n,).
     """
     log_forces = np.log(forces_N)
     logarithms = np.log(numbers)

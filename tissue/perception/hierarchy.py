@@ -1,6 +1,6 @@
-"""Hierarchical model of many observers as one population, with Hamiltonian Monte Carlo.
+"""Hierarchical Bayesian model of the force perception of many observers.
 
-The module includes diagnostics of convergence.
+The posterior is sampled with Hamiltonian Monte Carlo. The convergence of the samples is checked.
 """
 
 from dataclasses import dataclass
@@ -33,26 +33,29 @@ HYPER = (
 )
 """Names of the parameters of the population.
 
-The parameters are the means and the standard deviations over people, and the mean of sigma squared.
+They are means and standard deviations of the observers' parameters over people. ``variance`` is the
+mean of sigma squared.
 """
 VARIANCE_SHAPE = 10.0
 """Shape of the inverse-gamma distribution of sigma squared over people.
 
-The standard deviation over people is about a third of the mean (assumed, see perception.toml).
+With this shape, the standard deviation over people is about a third of the mean (assumed, see
+perception.toml).
 """
 CHAINS = 2
-"""Number of chains of a fit; the convergence check needs at least two chains."""
+"""Number of Markov chains; the convergence check needs at least two."""
 R_HAT = 1.01
 ESS = 400.0
-"""Smallest effective sample size of a converged fit; `R_HAT` is the largest R-hat.
+"""Smallest effective sample size of a fit that is treated as converged.
 
-Source: Vehtari et al., 2021.
+`R_HAT` is the largest accepted value of the convergence statistic R-hat. Source: Vehtari et al.,
+2021.
 """
 
 
 @dataclass(frozen=True)
 class PopulationTrials:
-    """Trials of many observers, concatenated.
+    """Trials of many observers, concatenated in arrays.
 
     Attributes
     ----------
@@ -75,11 +78,10 @@ class PopulationTrials:
     number: Array
 
     def counts(self) -> tuple[Index, Array, Array, Index, Index]:
-        """Return the numbers of trials and of right answers for each distinct comparison.
+        """Count trials and right answers for each observer and each distinct comparison.
 
-        The arrays have one entry for each combination of observer, base force and step. They are
-        the observer, the base force [N], the step [N], the number of trials and the number of right
-        answers.
+        The result is five arrays with one entry for each combination of observer, base force and
+        step: observer, base force [N], step [N], number of trials, and number of right answers.
         """
         rows = np.column_stack([self.who_compared, self.base_N, self.step_N])
         unique, which = np.unique(rows, axis=0, return_inverse=True)
@@ -90,19 +92,19 @@ class PopulationTrials:
 
 @dataclass(frozen=True)
 class PopulationFit:
-    """Posterior draws and their convergence diagnostics.
+    """Posterior draws of the hierarchical model, with convergence diagnostics.
 
     Attributes
     ----------
     draws
-        Draws, keyed by the name of the parameter. The shape is (chains, draws) for the population
-        (`HYPER`), and (chains, draws, observers) for alpha, beta, kappa, offset_N, lapse and sigma
-        of each observer.
+        Draws, keyed by the name of the parameter. Parameters of the population (`HYPER`) have the
+        shape (chains, draws). Parameters of observers (alpha, beta, kappa, offset_N, lapse, sigma)
+        have the shape (chains, draws, observers).
     r_hat, ess
         Split R-hat and effective sample size, keyed by the names in `HYPER`. The key ``people`` has
-        the worst value of the observers' parameters.
+        the worst value among all parameters of observers.
     divergences
-        Number of divergent transitions.
+        Number of divergent transitions of the sampler.
     """
 
     draws: dict[str, Array]
@@ -111,7 +113,7 @@ class PopulationFit:
     divergences: int
 
     def problems(self) -> list[str]:
-        """Return reasons why the fit should not be used, as sentences; empty for a good fit."""
+        """Return the reasons why the fit should not be used, as sentences; empty for a good fit."""
         found = []
         worst = max(self.r_hat, key=lambda name: np.nan_to_num(self.r_hat[name], nan=np.inf))
         least = min(self.ess, key=lambda name: self.ess[name])
@@ -130,9 +132,9 @@ class PopulationFit:
         return found
 
     def interval(self, name: str) -> tuple[float, float, float]:
-        """Return lower end, median and upper end of the central 95 % interval of a parameter.
+        """Return the ends of the central 95 % interval of a population parameter, and its median.
 
-        The parameter belongs to the population.
+        The order is lower end, median, upper end.
         """
         low, middle, high = np.quantile(self.draws[name], [0.025, 0.5, 0.975]).tolist()
         return low, middle, high
@@ -146,27 +148,28 @@ def fit_hierarchy(
     draws: int = 600,
     progress: bool = False,
 ) -> PopulationFit:
-    """Sample the posterior of the population and of each observer with NUTS in NumPyro.
+    """Sample the posterior of the parameters of the population and of each observer.
 
-    NUTS is the No-U-Turn sampler of Hoffman and Gelman (2014).
+    The sampler is NUTS, the No-U-Turn sampler of Hoffman and Gelman (2014), in NumPyro.
 
-    Over observers, ln alpha, beta, ln kappa and ln offset have normal distributions, sigma squared
-    has an inverse-gamma distribution, and lapse rates have the distribution Beta(1, 10). The means
-    have wide priors around published values, and the standard deviations have half-normal priors.
-    Thresholds are parametrised as offsets from the mean (non-centred), because the trials of one
-    observer contain little information about the thresholds. Factor and exponent are parametrised
-    directly (centred), because the trials of every observer contain enough information.
+    Over observers, ln alpha, beta, ln kappa and ln offset have normal distributions. sigma squared
+    has an inverse-gamma distribution, and lapse rates have the distribution Beta(1, 10). Means over
+    observers have wide priors around published values, and standard deviations over observers have
+    half-normal priors. ln kappa and ln offset are parametrised as deviations from the mean
+    (non-centred), because the trials of one observer contain little information about them. ln
+    alpha and beta are parametrised directly (centred), because the trials of one observer contain
+    enough information about them.
 
     Parameters
     ----------
     trials
-        Trials of three observers or more.
+        Trials of at least three observers.
     seed
         Seed of the random draws.
     warm_up, draws
-        Number of draws per chain for tuning, and number of draws that are kept. For eight observers
-        with 60 comparisons and 12 numbers each, the effective sample size is 444 to 499 with 600
-        draws, and 230 with 300 draws. A warm-up of 300 draws is enough in this case.
+        Numbers of draws per chain: for tuning, and to keep. For eight observers with 60 comparisons
+        and 12 reported numbers each, the effective sample size is 444 to 499 with 600 kept draws,
+        and 230 with 300. A warm-up of 300 draws is enough in this case.
     progress
         True to show a progress bar for each chain.
 
@@ -217,7 +220,7 @@ def _model(
     ratings: tuple[Index, Array, Array],
     counts: tuple[Index, Array, Array, Index, Index],
 ) -> None:
-    """Declare the hierarchy in NumPyro."""
+    """Declare the hierarchical model for NumPyro."""
     import jax.numpy as jnp
     import numpyro
     from jax.scipy.special import ndtr

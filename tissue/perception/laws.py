@@ -1,7 +1,7 @@
-"""Psychophysical laws for intensity and threshold.
+"""Psychophysical laws for the perceived intensity of force and the threshold of force differences.
 
-The laws are Stevens' power law, Weber's law with a low-force term, and psychometric functions for
-two intervals.
+The laws are Stevens' power law, Weber's law with a low-force term, and psychometric functions. In a
+two-interval trial, an observer feels two forces one after the other and chooses the larger.
 """
 
 from dataclasses import dataclass
@@ -16,26 +16,27 @@ from meshes.base.errors import InputError, require_range
 from tissue.perception.observer import Observer
 
 D_PRIME_75 = 0.9538725524089894
-"""Sensitivity d' for 75 % right answers in two intervals: sqrt(2) Phi^-1(0.75)."""
+"""Sensitivity d' with 75 % right answers in two-interval trials: sqrt(2) Phi^-1(0.75)."""
 
 
 def with_lapse(share: ArrayLike, lapse: ArrayLike) -> Array:
-    """Return the share of right answers with lapses, 1/2 + (1/2 - lapse) share.
+    """Return the share of right answers in two-interval trials: 1/2 + (1/2 - lapse) share.
 
     Source: Wichmann and Hill, 2001.
 
     Parameters
     ----------
     share
-        Share of stimuli that are felt correctly, without guesses and lapses, in [0, 1], any shape.
+        Share of trials in which the observer feels the difference, in [0, 1], any shape. In the
+        other trials, the observer guesses.
     lapse
-        Share of strong stimuli with a wrong answer, in [0, 1/2).
+        Share of wrong answers if the difference is large, in [0, 1/2).
     """
     return 0.5 + (0.5 - np.asarray(lapse, dtype=float)) * np.asarray(share, dtype=float)
 
 
 def correct_of_d_prime(d_prime: ArrayLike) -> Array:
-    """Return the share of right answers in two intervals, Phi(d' / sqrt(2)).
+    """Return the share of right answers in two-interval trials, Phi(d' / sqrt(2)).
 
     Source: Green and Swets, 1966.
     """
@@ -49,22 +50,22 @@ def two_interval(
     offset_N: ArrayLike,
     lapse: ArrayLike = 0.0,
 ) -> Array:
-    """Return the share of right answers when an observer chooses the larger of two forces.
+    """Return the share of right answers of an observer who chooses the larger of two forces.
 
-    The forces are `base_N` and `base_N + step_N`. The sensitivity d' increases with the step. It is
-    0.954 (75 %) at the threshold weber (base + offset), which is Weber's law with a term for low
-    forces. The arguments are broadcast.
+    The forces are `base_N` and `base_N + step_N`. The sensitivity d' increases with the step. If
+    the step equals the threshold ``weber * (base_N + offset_N)``, d' is 0.954 and 75 % of the
+    answers are right, apart from lapses. The arguments are broadcast.
 
     Parameters
     ----------
     base_N, step_N
-        The smaller force, and the difference to the larger force [N], 0 or more.
+        Smaller force, and difference between larger and smaller force [N], both 0 or more.
     weber
         Weber fraction, positive.
     offset_N
         Low-force term of Weber's law [N].
     lapse
-        Share of strong stimuli with a wrong answer.
+        Share of wrong answers if the step is large.
     """
     threshold = np.asarray(weber) * (np.asarray(base_N) + np.asarray(offset_N))
     return with_lapse(
@@ -74,21 +75,20 @@ def two_interval(
 
 @dataclass(frozen=True, kw_only=True)
 class Intensity:
-    """Intensity S = alpha (F / 1 N)^beta (1 + sigma e) for a person with uncertain parameters.
+    """Perceived intensity of force, S = alpha (F / 1 N)^beta (1 + sigma e), with uncertainty.
 
-    The posterior of (ln alpha, beta) is normal. Let x = ln F, m = E[ln alpha] + E[beta] x and v =
-    Var[ln alpha + beta x], which is quadratic in x. The moments of the posterior predictive
-    distribution are::
+    The parameters alpha, beta and sigma of the person are uncertain, and e is a random number with
+    variance 1. The posterior of (ln alpha, beta) is normal. Let x = ln F, m = E[ln alpha] + E[beta]
+    x and v = Var[ln alpha + beta x], which is quadratic in x. The moments of the posterior
+    predictive distribution are::
 
         E[S]   = exp(m + v / 2)
         Var[S] = E[S]^2 (exp(v) (1 + E[sigma^2]) - 1)
 
-    Here the scatter is relative and Gaussian. In a fit of reported numbers the scatter is in ln S.
-    The two forms of scatter are equal to first order. A log-normal scatter is not used here,
-    because its mean does not exist if sigma squared has an inverse-gamma distribution over people.
-    For a known sigma, it would multiply E[S] by exp(sigma^2 / 2). This factor is equal for all
-    forces, so it would not change ratios of intensities. The unit of intensity is the reference
-    observer's intensity at 1 N.
+    Here the scatter multiplies the intensity, whereas a fit of reported numbers has the scatter in
+    ln S. The two forms are equal to first order. Scatter in ln S is not used here, because the mean
+    of S would not exist if sigma squared has an inverse-gamma distribution. The unit of intensity
+    is the intensity that the reference observer perceives at 1 N.
 
     Attributes
     ----------
@@ -106,14 +106,14 @@ class Intensity:
     scatter: float = 0.0
 
     def expected(self, force_N: ArrayLike) -> Array:
-        """Return E[S] for magnitudes of force [N] of any shape; it is 0 for zero force."""
+        """Return E[S] for force magnitudes [N] in an array of any shape; 0 for zero force."""
         x = _logarithm(force_N)
         with np.errstate(invalid="ignore"):
             mean = np.exp(self.log_alpha + self.beta * x + 0.5 * self._variance(x))
         return np.where(np.isfinite(x), mean, 0.0)
 
     def spread(self, force_N: ArrayLike) -> Array:
-        """Return the standard deviation of S for magnitudes of force [N] of any shape."""
+        """Return the standard deviation of S for force magnitudes [N] in an array of any shape."""
         x = _logarithm(force_N)
         with np.errstate(invalid="ignore"):
             relative = np.expm1(self._variance(x)) * (1.0 + self.scatter) + self.scatter
@@ -121,15 +121,16 @@ class Intensity:
         return np.where(np.isfinite(x), deviation, 0.0)
 
     def force_N(self, intensity: ArrayLike) -> Array:
-        """Return the forces [N] with given expected intensities of any shape.
+        """Return the forces [N] that have given expected intensities, in an array of any shape.
 
-        ln E[S] is a quadratic function of ln F with the curvature Var[beta] >= 0. The branch that
-        increases with the force is used. The force is 0 for zero intensity.
+        Because ln E[S] is quadratic in ln F, two forces may have the same expected intensity. The
+        larger one is returned, where the intensity increases with the force. The force is 0 for
+        zero intensity.
 
         Raises
         ------
         InputError
-            If an intensity is below the smallest expected intensity of all forces.
+            If an intensity is below the smallest expected intensity that a force can have.
         """
         wanted = np.asarray(intensity, dtype=float)
         a = self.log_alpha + 0.5 * self.variances[0]
@@ -157,7 +158,7 @@ class Intensity:
 
 
 def intensity_of(observer: Observer) -> Intensity:
-    """Return the intensity law of an observer, with uncertainty."""
+    """Return Stevens' law of an observer, including the uncertainty of its parameters."""
     (alpha, both), (_, beta) = observer.covariance[:2, :2].tolist()
     return Intensity(
         log_alpha=float(observer.mean[0]),
@@ -170,7 +171,7 @@ def intensity_of(observer: Observer) -> Intensity:
 
 
 def _logarithm(force_N: ArrayLike) -> Array:
-    """Return ln F for magnitudes of force; minus infinity for zero force."""
+    """Return ln F for force magnitudes; minus infinity for zero force."""
     with np.errstate(divide="ignore"):
         return np.log(force_N)
 
@@ -179,17 +180,16 @@ def _logarithm(force_N: ArrayLike) -> Array:
 class Weber:
     """Weber's law with an offset: threshold = kappa (level + offset).
 
-    At the threshold, 75 % of answers in two-interval trials are right. Without the offset, the
-    threshold at a level of zero would be zero, so that every change would be felt there. The offset
-    is the level at which the ratio of threshold to level is twice kappa. kappa and offset are
-    positive, so that every threshold is positive.
+    The threshold is the change of a level, such as a force, for which 75 % of the answers in
+    two-interval trials are right. With the positive offset, the threshold is also positive at zero
+    level.
 
     Attributes
     ----------
     kappa
-        Weber's fraction.
+        Weber fraction.
     offset
-        Term for low levels, in the unit of the level: N, N m or N/m.
+        Offset of the level, positive, in the unit of the level: N, N m or N/m.
     """
 
     kappa: float
@@ -203,16 +203,15 @@ class Weber:
         require_range("offset", self.offset, 1e-6, 1e6, "use 0.2 for force in N")
 
     def threshold(self, level: ArrayLike) -> Array:
-        """Return the smallest change that is felt at levels of any shape, in their unit."""
+        """Return the thresholds at given levels, in the unit and the shape of the levels."""
         return self.kappa * (np.asarray(level, dtype=float) + self.offset)
 
 
 def weber_of(observer: Observer, *, quantile: float = 0.5) -> Weber:
-    """Return an observer's force threshold, at a quantile of the Weber fraction's posterior.
+    """Return the law for an observer's force threshold, for a quantile of the Weber fraction.
 
-    With a quantile below one half, the returned threshold is more probably too small than too
-    large. At 0.1, the true threshold of the person is larger than the returned threshold with a
-    probability of 90 %. The unit is N.
+    The quantile is that of the observer's posterior. With 0.1, for example, the true threshold of
+    the person is larger than the returned threshold with a probability of 90 %. The unit is N.
     """
     spread = float(np.sqrt(max(observer.covariance[2, 2], 0.0)))
     return Weber(
@@ -221,15 +220,15 @@ def weber_of(observer: Observer, *, quantile: float = 0.5) -> Weber:
 
 
 NODES = 4097
-"""Number of nodes of a table.
+"""Number of nodes of a `LogTable`.
 
-Over five decades of force, log-linear interpolation has an error below 1e-6. The error was computed
-for observers whose exponent has a standard deviation of at most 0.5.
+For tables over five decades of force, the relative interpolation error is below 1e-6. It was
+computed for observers whose exponent has a standard deviation of at most 0.5.
 """
 
 
 class LogTable:
-    """Table of a positive function of force; its logarithm is interpolated linearly in ln F.
+    """Table of a positive function of force, interpolated linearly in logarithmic scales.
 
     The interpolation is exact for a power law. Below the first node the function decreases linearly
     to zero. Above the last node the function is proportional to the force.
@@ -237,7 +236,7 @@ class LogTable:
     Parameters
     ----------
     forces_N
-        Nodes [N], rising in equal ratios.
+        Forces at the nodes [N], increasing in equal ratios.
     values
         Values of the function at the nodes, positive.
     """
@@ -252,7 +251,7 @@ class LogTable:
         self._above = float(values[-1]) / self._last
 
     def at(self, force_N: float) -> float:
-        """Return the function at a force [N], 0 or more."""
+        """Return the value of the function at a force [N], 0 or more."""
         if force_N < self._first:
             return self._below * force_N
         if force_N >= self._last:
@@ -264,46 +263,43 @@ class LogTable:
 
 
 class ForceMap:
-    """Map from a force to the command that has the reference intensity for an observer.
+    """Map from a force to the force that a device must play for an observer.
 
-    The reference intensity is the intensity that the reference observer feels at ``gain`` times the
-    force. The command is the force whose expected intensity for the observer equals the reference
-    intensity.
+    The played force is called the command. The observer perceives the command with the same
+    expected intensity with which the reference observer perceives ``gain`` times the force.
 
-    Stevens' law is homogeneous: a common factor of all forces does not change any ratio of
-    intensities. Every other function of the force changes these ratios. Therefore ``gain``, a
-    common factor, fits the forces into the range of the device. ``knee_N`` is the strongest force
-    that the device plays uncompressed. ``gain`` is 1 if the observer needs at most ``knee_N`` to
-    feel what the reference observer feels at ``knee_N``. If the observer needs more force, ``gain``
-    is below 1. It is then chosen so that the command for the force ``knee_N`` is exactly
-    ``knee_N``. Up to the knee::
+    The common factor ``gain`` fits the commands into the range of the device. Under Stevens' law, a
+    common factor does not change ratios of intensities. ``gain`` is 1 if the command for the force
+    ``knee_N`` is then at most ``knee_N``. Otherwise it is below 1, and chosen so that the command
+    for the force ``knee_N`` is ``knee_N``. For two forces F1 and F2 up to ``knee_N``::
 
         E[S | command(F1)] / E[S | command(F2)] = (F1 / F2)^beta of the reference
 
-    Above the knee, `tissue.haptics.loop.filters.ForceRange` compresses the force and reports this.
+    Above ``knee_N``, `tissue.haptics.loop.filters.ForceRange` compresses the force and reports
+    this.
 
-    Stevens' law and Weber's law have not been measured far below the observer's low-force term. At
-    low forces the map is a straight line to zero. The line also bounds the slope of the map, so
-    that the stiffness at the start of a contact is finite.
+    Below ``lowest_N``, where the laws have not been measured, the map is a straight line to zero.
+    The line also bounds the slope of the map, so that the stiffness at the start of a contact is
+    finite.
 
     Parameters
     ----------
     reference, observer
         Intensity laws of the reference observer, and of the observer that feels the command.
     lowest_N, knee_N
-        Upper end of the straight line [N], above 0, and the strongest force that the device plays
-        uncompressed [N], above ``lowest_N``.
+        Force below which the map is a straight line [N], above 0. Largest force that the device
+        plays uncompressed [N], above `lowest_N`.
 
     Attributes
     ----------
     gain
-        Common factor of all forces.
+        Common factor of all forces, at most 1.
     table, intensity, spread
-        Tables: command [N] as a function of force, and mean and standard deviation of the intensity
-        as functions of the command.
+        Three tables: the command [N] as a function of the force, and mean and standard deviation of
+        the perceived intensity as functions of the command.
     steepest
-        Largest slope of the map. In the haptic loop, the map increases the stiffness of a contact
-        by at most this factor.
+        Largest slope of the map, which is the largest factor by which it increases the stiffness of
+        a contact.
 
     Raises
     ------
@@ -342,9 +338,9 @@ class ForceMap:
         self.spread = LogTable(felt, np.maximum(observer.spread(felt), 1e-12))
 
     def command_N(self, force_N: ArrayLike) -> Array:
-        """Return the magnitudes to command [N] for magnitudes of the force at the device [N].
+        """Return the commands [N] for force magnitudes [N], without interpolation.
 
-        The result is exact and not interpolated, for arrays of any shape.
+        Arrays of any shape are accepted.
         """
         forces = np.asarray(force_N, dtype=float)
         first = self.forces_N[0]
@@ -352,7 +348,7 @@ class ForceMap:
         return np.where(forces < first, straight, self._exact(np.maximum(forces, first)))
 
     def _exact(self, force_N: ArrayLike) -> Array:
-        """Return the map in closed form, without the straight line."""
+        """Return the commands [N] in closed form, without the straight line at low forces."""
         return self._observer.force_N(
             self._reference.expected(self.gain * np.asarray(force_N, dtype=float))
         )

@@ -1,4 +1,4 @@
-"""Observers of force: posterior of one person, file format, and population."""
+"""Force perception of one person (an observer) and of a population, and files of observers."""
 
 import json
 from collections.abc import Mapping
@@ -17,12 +17,13 @@ from meshes.base.whole_file import package_version, require_new_file, require_ve
 from tissue.materials.constants import constants
 
 PARAMETERS = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
-"""Names of an observer's parameters.
+"""Names of the parameters of an observer's force perception.
 
-The parameters are Stevens' factor and exponent, Weber's fraction and low-force term [N], lapse
-rate, and relative scatter of a reported intensity. The intensity is S = alpha (F / 1 N)^beta (1 +
-sigma e), with a random e of unit variance. For a change of kappa (F + offset), 75 % of answers in
-two-interval trials are right, without lapses.
+alpha, beta and sigma are the factor, the exponent and the relative scatter in Stevens' law. The
+intensity at a force F is S = alpha (F / 1 N)^beta (1 + sigma e), where e is a random number with
+variance 1. kappa and offset_N are the Weber fraction and the low-force term in Weber's law. For two
+forces that differ by kappa (F + offset_N), 75 % of the answers about the larger force are right,
+apart from lapses. lapse is the share of wrong answers for large differences.
 """
 BOUNDS = {
     "alpha": (1e-3, 1e3),
@@ -32,29 +33,29 @@ BOUNDS = {
     "lapse": (1e-6, 0.5),
     "sigma": (1e-4, 2.0),
 }
-"""Bounds of plausible medians of a person.
+"""Smallest and largest plausible median of each parameter of a person.
 
-A median outside these bounds means a wrong unit or a bad fit.
+A median outside these bounds indicates a wrong unit or a failed fit.
 """
 FORMAT = "tissue observer"
 VERSION = 1
 COORDINATES = ("ln alpha", "beta", "ln kappa", "ln offset_N", "logit lapse", "ln sigma")
 TO_COORDINATE = dict.fromkeys(PARAMETERS, np.log) | {"beta": np.asarray, "lapse": logit}
 WIDEST = 10.0
-"""Largest standard deviation of a coordinate of an observer. A larger value means a failed fit."""
+"""Largest accepted standard deviation of a coordinate of `Observer`; above it, a fit has failed."""
 REPORTED_N = 2.0
-"""Force at which the threshold of an observer is reported [N]."""
+"""Force for which the threshold of an observer is written to files [N]."""
 ROUNDING = 1e-5
-"""Relative tolerance for the plain numbers in a file, which have six digits."""
+"""Relative tolerance between numbers with six digits in a file and the posterior in this file."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observer:
-    """Observer, described by a normal posterior of one person's parameters.
+    """Force perception of one person, as a normal posterior of the person's parameters.
 
-    The coordinates are (ln alpha, beta, ln kappa, ln offset, logit lapse, ln sigma). In these
-    coordinates every draw is a possible person: factor, thresholds and scatter are positive, and
-    lapse rates are between 0 and 1.
+    The posterior is normal in the coordinates (ln alpha, beta, ln kappa, ln offset, logit lapse, ln
+    sigma); see `PARAMETERS`. With these coordinates, every draw has a positive factor, threshold
+    and scatter, and a lapse rate between 0 and 1.
 
     Attributes
     ----------
@@ -63,15 +64,15 @@ class Observer:
     mean
         Mean of the coordinates, shape (6,), in the order of `PARAMETERS`.
     covariance
-        Covariance of the coordinates, shape (6, 6), symmetric and without negative eigenvalues;
-        zeros if the parameters are known exactly.
+        Covariance of the coordinates, shape (6, 6), positive semidefinite; zeros if the parameters
+        are known exactly.
     trials
-        Number of trials on which the posterior is based; 0 for a prior.
+        Number of trials from which the posterior was estimated; 0 for a prior.
 
     Raises
     ------
     InputError
-        If a number is not finite, a median is not plausible, or the covariance is not valid.
+        If a number is not finite, a median is not in `BOUNDS`, or the covariance is not valid.
     """
 
     name: str
@@ -125,9 +126,10 @@ class Observer:
         trials: int = 0,
         **medians: float,
     ) -> "Observer":
-        """Return an observer with given medians and independent spreads of the coordinates.
+        """Return an observer with given medians and standard deviations of the parameters.
 
-        ``medians`` must have all `PARAMETERS`.
+        `medians` must contain all `PARAMETERS`. `spread` contains standard deviations of
+        coordinates, keyed by parameter; coordinates are uncorrelated.
         """
         mean = np.array([TO_COORDINATE[parameter](medians[parameter]) for parameter in PARAMETERS])
         spreads = [(spread or {}).get(parameter, 0.0) for parameter in PARAMETERS]
@@ -135,9 +137,9 @@ class Observer:
 
     @classmethod
     def from_draws(cls, name: str, draws: Mapping[str, Array], *, trials: int) -> "Observer":
-        """Return an observer whose posterior has the mean and the covariance of draws.
+        """Return an observer whose posterior has the mean and the covariance of given draws.
 
-        `draws` is a dictionary from parameter name to an array of shape (n,).
+        `draws` contains an array of shape (n,) for each parameter, keyed by parameter.
         """
         rows = np.array([TO_COORDINATE[parameter](draws[parameter]) for parameter in PARAMETERS])
         return cls(name=name, mean=rows.mean(axis=1), covariance=np.cov(rows), trials=trials)
@@ -154,7 +156,7 @@ class Observer:
 
     @property
     def kappa(self) -> float:
-        """Median of Weber's fraction."""
+        """Median of the Weber fraction."""
         return exp(self.mean[2])
 
     @property
@@ -164,7 +166,7 @@ class Observer:
 
     @property
     def lapse(self) -> float:
-        """Median of the lapse rate, the share of strong stimuli with a wrong answer."""
+        """Median of the lapse rate, the share of wrong answers for large differences of force."""
         # in the order of PARAMETERS
         return float(expit(self.mean[4]))
 
@@ -175,7 +177,7 @@ class Observer:
         return exp(self.mean[5])
 
     def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
-        """Return joint draws of all parameters, as arrays of shape (count,), keyed by parameter."""
+        """Return joint draws of all parameters, each of shape (count,), keyed by parameter."""
         values, vectors = np.linalg.eigh(self.covariance)
         # A matrix square root is used instead of Cholesky's factor, because the covariance may be
         # singular. Rounding may make eigenvalues of zero negative.
@@ -185,15 +187,15 @@ class Observer:
 
 
 def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -> None:
-    """Write an observer to a JSON file; an incomplete file never appears.
+    """Write an observer to a JSON file.
 
-    The file holds the posterior and, for human readers, the medians as plain numbers with units. An
-    existing file is replaced only if `overwrite` is set.
+    The file contains the posterior. For human readers, it also contains medians as numbers with
+    units.
 
     Raises
     ------
     InputError
-        If the file exists and must not be replaced.
+        If the file exists and `overwrite` is not set.
     """
     require_new_file(path, overwrite=overwrite)
     stored = {
@@ -211,14 +213,13 @@ def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -
 
 
 def read_observer(path: Path) -> Observer:
-    """Read an observer.
+    """Read an observer from a JSON file.
 
     Raises
     ------
     InputError
-        If the file is missing, does not hold an observer, has another version, or holds impossible
-        numbers. The plain numbers of a file may be missing, but they must not contradict the
-        posterior.
+        If the file is missing, does not contain an observer, has an unknown version, or contains
+        impossible numbers. It is also raised if the medians in the file contradict its posterior.
     """
     calibrate = "write one with tissue calibrate --out"
     require_regular(path)
@@ -249,10 +250,10 @@ def read_observer(path: Path) -> Observer:
 
 
 def _plain_numbers(observer: Observer, force_N: float) -> dict[str, float]:
-    """Return the exponent, and the threshold [N] at a force [N], rounded to six digits.
+    """Return the exponent, and the threshold at the force `force_N` [N], rounded to six digits.
 
-    The Weber fraction and the low-force term are included, so that a reader can compute the
-    threshold at other forces.
+    The result also contains the Weber fraction and the low-force term, from which a reader can
+    compute the threshold at other forces.
     """
     numbers = {
         "exponent": observer.beta,
@@ -265,7 +266,7 @@ def _plain_numbers(observer: Observer, force_N: float) -> dict[str, float]:
 
 
 def _require_agreement(observer: Observer, stored: Mapping[str, object]) -> None:
-    """Check that the plain numbers of a file, if there are any, agree with its posterior."""
+    """Check that the numbers for human readers in a file, if any, agree with its posterior."""
     force_N = _number(stored.get("threshold_at_N", REPORTED_N))
     for name, computed in _plain_numbers(observer, force_N).items():
         given = stored.get(name, computed)
@@ -278,12 +279,12 @@ def _require_agreement(observer: Observer, stored: Mapping[str, object]) -> None
 
 
 def _number(value: object) -> float:
-    """Return a number of a file, or NaN if the value is not a number."""
+    """Return a value from a file as a number, or NaN if it is not a number."""
     return float(value) if isinstance(value, int | float) else nan
 
 
 def _from(parameter: str, coordinate: Array | np.float64) -> Array:
-    """Convert a coordinate of an observer to the value of its parameter."""
+    """Convert a coordinate, such as ln alpha, to the value of its parameter."""
     if parameter == "lapse":
         return np.asarray(expit(coordinate))
     return np.asarray(
@@ -295,23 +296,23 @@ def _from(parameter: str, coordinate: Array | np.float64) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Population:
-    """Distribution of the parameters of observers over people.
+    """Distribution over people of the parameters of force perception.
 
-    alpha has a log-normal distribution with mean 1, beta has a normal distribution, and sigma
-    squared has an inverse-gamma distribution. The mean of alpha is 1, because the unit of intensity
-    is the average intensity at 1 N. Weber's fraction and low-force term have log-normal
-    distributions, so that thresholds are positive. The lapse rate has a logit-normal distribution.
+    alpha, the Weber fraction and the low-force term have log-normal distributions. The mean of
+    alpha is 1, because the unit of intensity is the average intensity at 1 N. beta has a normal
+    distribution, sigma squared an inverse-gamma distribution, and the lapse rate a logit-normal
+    distribution.
 
     Attributes
     ----------
     beta, kappa, offset_N, lapse
-        Medians of Stevens' exponent, Weber's fraction, low-force term [N] and lapse rate.
+        Medians of Stevens' exponent, Weber fraction, low-force term [N] and lapse rate.
     sigma
-        Relative scatter of reported intensities: square root of the mean of sigma squared.
+        Relative scatter of reported intensities, as the square root of the mean of sigma squared.
     alpha_log_spread, beta_spread, kappa_log_spread, offset_log_spread, lapse_logit_spread
         Standard deviations over people, in the coordinates of `Observer`.
     sigma_shape
-        Shape of the inverse-gamma distribution, above 2.
+        Shape of the inverse-gamma distribution of sigma squared, above 2.
     """
 
     beta: float
@@ -329,7 +330,7 @@ class Population:
     def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
         """Return the parameters of `count` random people, keyed by parameter.
 
-        The arrays have shape (count,).
+        Each array has shape (count,).
         """
         normal = rng.standard_normal((5, count))
         scale = (self.sigma_shape - 1.0) * self.sigma**2
@@ -345,16 +346,16 @@ class Population:
 
 
 def population() -> Population:
-    """Return the population defined in ``perception.toml``."""
+    """Return the population that is defined in ``tissue/materials/perception.toml``."""
     known = {name: entry.value for name, entry in constants("perception", "force").items()}
     return Population(**{name: known[name] for name in Population.__dataclass_fields__})
 
 
 def population_observer() -> Observer:
-    """Return the population of ``perception.toml`` as an observer, for an unknown person.
+    """Return the observer for a person without a calibration: the distribution over people.
 
-    The conversion is exact except for sigma. For sigma, only the mean and the variance of the
-    logarithm are kept.
+    The observer has the same distribution as `population`, except that ln sigma becomes normal with
+    equal mean and variance.
     """
     people = population()
     scale = (people.sigma_shape - 1.0) * people.sigma**2
@@ -380,8 +381,8 @@ def population_observer() -> Observer:
 def reference_observer() -> Observer:
     """Return the reference observer, with the medians of the population and alpha = 1.
 
-    Its parameters are known exactly. The intensities of other observers are matched to the
-    reference observer.
+    Its parameters are known exactly. Forces are scaled so that other observers perceive the
+    intensities that the reference observer would perceive.
     """
     people = population()
     given = {name: getattr(people, name) for name in PARAMETERS if name != "alpha"}

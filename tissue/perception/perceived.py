@@ -1,4 +1,4 @@
-"""Perceptual scaling in each tick: force map, deadband, and estimate of the force by a person."""
+"""Scaling of the force for a person in each tick, and simulation of the person's perception."""
 
 from math import exp, inf, sqrt
 from typing import Protocol
@@ -11,35 +11,36 @@ from tissue.perception.laws import D_PRIME_75, ForceMap, Weber
 
 
 class Perception(Protocol):
-    """Perception model that computes the force to play on the device for one observer.
+    """Interface of perception models, which compute the force to play on a device for a person.
 
-    The direction of the force is kept. `step` is called once a tick and takes microseconds.
+    The direction of the force is not changed. `step` is called once in each tick and takes
+    microseconds.
     """
 
     estimated_N: float
-    """Observer's estimate of the felt force, after the recursive update [N]."""
+    """Person's current estimate of the felt force [N]."""
     perceived: float
-    """Mean intensity of the commanded force, relative to the reference observer at 1 N."""
+    """Mean perceived intensity of the played force; unit: reference observer's intensity at 1 N."""
     perceived_spread: float
-    """Standard deviation of the intensity of the commanded force."""
+    """Standard deviation of the perceived intensity of the played force."""
     steepest: float
-    """Largest slope of the command over the force; the stability check includes this factor."""
+    """Largest slope of the played force over the given force, for the stability check."""
     sentence: str
-    """Description of the observer and of the scaling, reported before a run."""
+    """Sentence about the observer and the scaling, reported before a run."""
     above: bool
-    """True if the last change was above the observer's threshold and was rendered."""
+    """True if the last change of the force was above the person's threshold and was played."""
 
     def step(self, force_N: Array) -> Array:
-        """Return the force to command [N] for a force at the device [N], each of shape (3,)."""
+        """Return the force to play [N], shape (3,), for a force at the device [N], shape (3,)."""
         ...
 
     def pause(self) -> None:
-        """Reset after a missing sample: play the next force, even if it is below the threshold."""
+        """Reset after a missing sample: play the next force even if its change is small."""
         ...
 
 
 class PerceptionMaker(Protocol):
-    """Factory of perception models for a device."""
+    """Function that makes a perception model for a device."""
 
     def __call__(
         self,
@@ -57,61 +58,61 @@ class PerceptionMaker(Protocol):
         argument
             Text after the colon in a name such as ``observer:FILE``; empty without a colon.
         rng
-            Random generator for the noise of the observer's sense.
+            Random generator for the noise of the person's perception.
         force_limit_N, friction_N
-            Largest force and Coulomb friction of the device [N].
+            Largest force of the device, and Coulomb friction of the device [N].
         tick_s
-            Time between two steps [s].
+            Time between two calls of `step` [s].
         """
         ...
 
 
 REST_SHARE = 0.5
-"""Ratio of a force to the threshold at zero force, below which zero force is played.
+"""Ratio of a force to the threshold at zero force, below which the played force becomes zero.
 
-The played force becomes zero below half of the threshold. It becomes non-zero again above the whole
-threshold. Noise around one of the two values therefore does not switch the force on and off.
+The played force becomes zero below half of this threshold, and becomes non-zero again above the
+whole threshold. Noise near one of the two limits therefore does not switch the force on and off.
 """
 BLOCK = 512
-"""Number of ticks whose random numbers are drawn at once.
+"""Number of ticks for which random numbers are drawn at once.
 
-A number takes 0.9 us if it is drawn alone, and 0.13 us in a block. A block of 512 takes 70 us in
-one tick.
+Drawing takes 0.9 us for a single number, and 0.13 us for each number in a block. A block of 512
+numbers takes 70 us in one tick.
 """
 
 
 class Deadband:
-    """Deadband that changes the played vector only if the wanted vector is far enough from it.
+    """Deadband: the played vector changes only if the wanted vector differs by a threshold.
 
-    If the distance between the two vectors exceeds a threshold, the wanted vector is played. The
-    threshold is evaluated at the magnitude of the played vector.
+    The vectors are forces, for example. If the distance between played and wanted vector exceeds
+    the threshold, the wanted vector is played. The threshold depends on the magnitude of the played
+    vector.
 
-    The distance is a distance of vectors, so that it includes changes of direction and of
-    magnitude. At a change the wanted vector itself is played, and not a sum of steps. Errors
-    therefore cannot accumulate: in every tick the error is below the threshold. Noise within the
+    The distance includes changes of direction and of magnitude. Errors do not accumulate: in every
+    tick, the distance between played and wanted vector is below the threshold. Noise within the
     threshold is not played.
 
-    A vector shorter than half of the threshold at zero is played as zero, so that there is no force
-    in free space.
+    A wanted vector shorter than half of the threshold at zero magnitude is played as zero, so that
+    there is no force in free space.
 
-    If the played force is constant while the wanted force decreases, the device receives energy. In
-    a cycle, this energy equals the energy that a Coulomb friction of half the threshold would
-    dissipate. A larger friction of the device, or the damping of a hand, dissipates the received
+    While the played force stays constant and the wanted force decreases, the device receives
+    energy. In a cycle, this is the energy that a Coulomb friction of half the threshold would
+    dissipate. The friction of the device, if it is larger, or the damping of a hand dissipates this
     energy.
 
     Parameters
     ----------
     law
-        Threshold as a function of the magnitude.
+        Threshold as a function of the magnitude of the played vector.
     widest
-        Upper bound of the threshold, in the unit of the vector; 0 or more.
+        Upper bound of the threshold, in the unit of the vectors; 0 or more.
 
     Attributes
     ----------
     held
         Vector that is played, shape (3,).
     changed
-        True if the last wanted vector exceeded the threshold and is played.
+        True if the last step changed `held`.
     """
 
     def __init__(self, law: Weber, *, widest: float = inf) -> None:
@@ -151,9 +152,10 @@ class Deadband:
 
 
 def held_back(wanted: Array, law: Weber) -> tuple[Array, Array]:
-    """Apply a deadband to recorded vectors, shape (n, 3).
+    """Apply a deadband to a sequence of recorded vectors, shape (n, 3).
 
-    Return the played vectors, shape (n, 3), and a mask of the changes, shape (n,).
+    Return the played vectors, shape (n, 3), and a mask of the ticks in which they change, shape
+    (n,).
     """
     deadband = Deadband(law)
     played = np.empty_like(wanted, dtype=float)
@@ -165,14 +167,14 @@ def held_back(wanted: Array, law: Weber) -> tuple[Array, Array]:
 
 
 class Sense:
-    """Estimate of a force by a person: noisy observations, averaged by a filter with constant gain.
+    """Model of a person's estimate of a force: noisy observations, averaged by a filter.
 
-    The person observes the force once a tick. The gain is G = 1 - exp(-T / tau), where T is the
-    tick, and tau is the time over which the person averages force. The noise of an observation is
-    chosen so that the scatter s of the estimate of a constant force corresponds to the threshold:
-    for a change of one threshold, d' is 0.954. With this gain and scatter, an observation has the
-    variance r = s^2 (2 - G) / G. The filter assumes a random walk of the force with the variance q
-    = G^2 r / (1 - G) per tick.
+    The person observes the force once in each tick. The filter has the constant gain G = 1 - exp(-T
+    / tau), where T is the duration of a tick, and tau is the time over which a person averages
+    force. The estimate of a constant force has the standard deviation s. It is chosen so that a
+    change of the force by one threshold has the sensitivity d' = 0.954. An observation therefore
+    has the variance r = s^2 (2 - G) / G. The filter is the Kalman filter for a random walk of the
+    force with the variance q = G^2 r / (1 - G) per tick.
 
     Attributes
     ----------
@@ -204,24 +206,24 @@ class Sense:
 
 
 class PerceivedForce:
-    """Perception model that implements `tissue.perception.perceived.Perception`.
+    """Perception model for one observer: force map, deadband, and simulated estimate of the force.
 
     Parameters
     ----------
     law
-        Map from force to command, and intensity of a command.
+        Map from a force to the force to play (command), with the perceived intensity of a command.
     deadband
-        Deadband: the command is constant until a change can be felt.
+        Deadband that keeps the command constant until the person can feel a change.
     sense
-        Observer's estimate of the command.
+        Model of the person's estimate of the command.
     sentence
-        Description of the observer and of the scaling, reported before a run.
+        Sentence about the observer and the scaling, reported before a run.
 
     Attributes
     ----------
     steepest
-        Largest slope of the command as a function of force. In the stability check, the stiffness
-        of a virtual wall is multiplied by this slope.
+        Largest slope of the command over the force. The stability check multiplies the stiffness of
+        a virtual wall by it.
     """
 
     def __init__(self, law: ForceMap, deadband: Deadband, sense: Sense, *, sentence: str) -> None:
@@ -234,7 +236,7 @@ class PerceivedForce:
         self.above = False
 
     def step(self, force_N: Array) -> Array:
-        """Return the force to command [N], shape (3,); the next step overwrites this array.
+        """Return the force to play [N], shape (3,); the next step overwrites this array.
 
         Raises
         ------
@@ -260,6 +262,6 @@ class PerceivedForce:
         return deadband.held
 
     def pause(self) -> None:
-        """Reset after a missing sample: play the next force, even if it is below the threshold."""
+        """Reset after a missing sample: play the next force even if its change is small."""
         self.deadband.forget()
         self.above = False

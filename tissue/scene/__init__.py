@@ -1,1 +1,1 @@
-"""Scenes: validated descriptions of simulations, read from TOML."""
+"""Scenes: validated descriptions of simulations, read from TOML files."""

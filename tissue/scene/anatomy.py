@@ -1,6 +1,7 @@
-"""Anatomies of a scene for cutters: bone and teeth, procedural or from files.
+"""Anatomies that a tool cuts, as tables of a scene: bone and teeth, procedural or from files.
 
-Each class has only the keys that its shape needs.
+A scene contains one of these classes as its table ``anatomy``. Each class has only the keys that
+its shape needs.
 """
 
 from typing import Annotated, ClassVar, Literal
@@ -32,27 +33,29 @@ __all__ = [
 
 
 class CutAnatomy(Part):
-    """Bone or tooth that a cutter removes."""
+    """Bone or tooth that a tool cuts, as the table ``anatomy`` of a scene."""
 
     kind: str
 
     source: ClassVar[str] = "procedural"
-    """Origin of the shape, as named in messages."""
+    """Origin of the shape, as error messages name it."""
     reads: ClassVar[tuple[str, ...]] = ("voxels", "cutting", "keep_clear", "heat")
-    """Tables of a scene that apply to this anatomy."""
+    """Other tables of a scene that have an effect with this anatomy."""
 
     @property
     def from_file(self) -> str | None:
-        """File that contains the whole shape; None if there is no such file.
+        """File that contains the whole shape, or None.
 
-        A procedural anatomy and a tooth with one file per layer have no such file.
+        It is None for a procedural shape, and for a tooth with one file per layer.
         """
         file: str | None = getattr(self, "file", None)
         return file
 
     @property
     def structure_files(self) -> dict[str, str]:
-        """Surface files of the structures for `keep_clear.names`, keyed by structure."""
+        """Surface files of the structures that `keep_clear.names` may contain, keyed by
+        structure.
+        """
         return {}
 
     @property
@@ -69,34 +72,34 @@ class Drilled(CutAnatomy):
     guide_hole_diameter_mm: Annotated[float, Needs("anatomy.guide_hole_depth_mm")] = Field(
         0.0, ge=0, le=50
     )
-    """Diameter of a guide hole that is drilled along the tool's axis before the run. With 0 there
-    is no hole.
+    """Diameter of a guide hole in the bone along the tool's axis, which exists before the run. With
+    0 there is no hole.
     """
     guide_hole_depth_mm: Annotated[float, Needs("anatomy.guide_hole_diameter_mm")] = Field(
         0.0, ge=0, le=100
     )
-    """Depth of the guide hole below the working face, along the tool's axis."""
+    """Depth of the guide hole below the surface at which the tool starts, along the tool's axis."""
 
 
 class Placed(Drilled):
-    """Bone from a file, moved and rotated so that the centre of its working face is the origin."""
+    """Bone from a file, placed with its site, where the tool works, at the origin."""
 
     file: FileName = Field(examples=["scapula.stl"])
     """Surface file (.stl .obj .ply .vtk .vtp), image volume, or folder of TIFF or PNG slices."""
     centre_mm: Vector | None = Field(None, examples=[(0.0, 0.0, 0.0)])
-    """Centre of the working face in the file's frame [mm]. Without this key, the program searches
-    for the face of a glenoid.
+    """Centre of the site, where the tool works, in the file's frame. It becomes the origin. Without
+    this key, the program searches for the articular surface of a glenoid.
     """
     normal: Annotated[Vector | None, Needs("anatomy.centre_mm")] = Field(
         None, examples=[(0.0, 0.0, 1.0)]
     )
-    """Outward normal of the working face in the file's frame."""
-    along: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
-    """Direction in the file's frame. The component of this direction perpendicular to `normal`
-    becomes the x axis of the site.
+    """Outward normal of the bone's surface at the site, in the file's frame. It becomes the z
+    axis.
     """
+    along: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
+    """Direction in the file's frame whose component perpendicular to `normal` becomes x."""
     cortical_thickness_mm: float = Field(1.5, gt=0, le=10)
-    """Thickness of the cortical shell below the surface of a bone from a file."""
+    """Thickness of the cortical bone below the surface of the bone."""
 
 
 class SurfaceAnatomy(Placed):
@@ -104,8 +107,8 @@ class SurfaceAnatomy(Placed):
 
     source: ClassVar[str] = "from a surface"
     scale_mm: float | None = Field(None, gt=0, le=1e5, examples=[1.0])
-    """Millimetres per unit of a surface file. Without this key, the unit is guessed, and a note of
-    the run shows the guess.
+    """Millimetres per length unit of the file. Without this key, the unit is guessed, and a note of
+    the run reports the guess.
     """
 
 
@@ -113,8 +116,7 @@ class Image(Part):
     """Image volume in which the voxels above a threshold are bone."""
 
     spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.0195])
-    """Edge of a voxel, for an image that does not contain the voxel size, such as TIFF or PNG
-    slices.
+    """Edge of a voxel of the image, for files without this information, such as TIFF or PNG slices.
     """
     threshold: float | None = Field(None, ge=-1e9, le=1e9, examples=[200.0])
     """Image value above which a voxel is bone."""
@@ -127,39 +129,38 @@ class ImageAnatomy(Placed, Image):
 
 
 class Glenoid(Part):
-    """Glenoid."""
+    """Glenoid (articular surface of the scapula)."""
 
     kind: Literal["glenoid"] = "glenoid"
     """A glenoid."""
 
 
 class GlenoidAnatomy(Glenoid, Drilled):
-    """A glenoid. It has a concave face with a subchondral plate, and trabecular bone below the
-    plate.
+    """A glenoid: a concave articular surface, a subchondral plate and trabecular bone below it.
 
-    The origin is at the centre of the face, with +z outward.
+    The origin is at the centre of the articular surface, with +z outward.
     """
 
     width_mm: float = Field(27.8, ge=20, le=34)
-    """Largest width of the face, anterior to posterior."""
+    """Largest width of the articular surface, anterior to posterior."""
     height_mm: float = Field(37.5, ge=28, le=45)
-    """Height of the face, inferior to superior. It must be at least 1.1 times the width of the
-    face.
+    """Height of the articular surface, inferior to superior. It must be at least 1.1 times
+    `width_mm`.
     """
     curvature_radius_mm: float = Field(35.0, ge=22, le=80)
-    """Radius of the sphere that shapes the concave face. It must be more than half the height of
-    the face.
+    """Radius of curvature of the concave articular surface. It must be more than half of
+    `height_mm`.
     """
     subchondral_thickness_mm: float = Field(1.9, ge=1.2, le=2.9)
     """Mean thickness of the subchondral plate."""
     subchondral_density_kg_m3: float = Field(1300.0, ge=200, le=2200)
     """Apparent density of the subchondral plate."""
     trabecular_density_below_plate_kg_m3: float = Field(450.0, ge=50, le=1200)
-    """Apparent density of the trabecular bone at the plate. Within 5 mm below the plate, the
-    density changes to the density of the vault.
+    """Apparent density of the trabecular bone next to the subchondral plate. Within 5 mm below the
+    plate, the density changes to `trabecular_density_kg_m3`.
     """
     trabecular_density_kg_m3: float = Field(300.0, ge=50, le=1200)
-    """Apparent density of the trabecular bone in the vault."""
+    """Apparent density of the trabecular bone more than 5 mm below the subchondral plate."""
 
 
 class GlenoidSurface(Glenoid, SurfaceAnatomy):
@@ -174,10 +175,10 @@ class Block(Part):
     """Block of bone with uniform density."""
 
     kind: Literal["block"] = "block"
-    """A block, or the unchanged image in `file`."""
+    """A block, or the bone in `file`."""
     density_kg_m3: float = Field(1800.0, ge=100, le=2500)
-    """Apparent density. Cortical bone has 1800 to 2000 kg/m3. For a surface from a file, this is
-    the density of the cortical shell.
+    """Apparent density of the bone. Cortical bone has 1800 to 2000 kg/m3. If `file` is a surface,
+    this is the density of the cortical shell.
     """
 
 
@@ -189,29 +190,28 @@ class BlockAnatomy(Block, Drilled):
 
 
 class BlockSurface(Block, SurfaceAnatomy):
-    """Bone from a surface, with a cortical shell of uniform density.
+    """Bone from a surface file, with a cortical shell of uniform density.
 
-    The scene states the site on the surface.
+    The keys `centre_mm` and `normal` define the site, where the tool works.
     """
 
 
 class BlockImage(Block, ImageAnatomy):
-    """Bone from an image, either at a site or as the whole unchanged image.
+    """Bone from an image volume, either placed with a site at the origin or as the whole image.
 
-    With `centre_mm`, the bone lies at that site. Without `centre_mm`, the top of the image is at z
-    = 0.
+    With `centre_mm`, this point of the image becomes the origin. Without `centre_mm`, the top of
+    the image is at z = 0.
     """
 
     @property
     def is_whole(self) -> bool:
-        """True if the whole image is used unchanged, because the scene gives no site."""
+        """True if the whole image is used, because the scene has no `centre_mm`."""
         return self.centre_mm is None
 
     def idle(self) -> dict[str, Idle]:
-        """Return the keys without effect.
+        """Return the keys that have no effect, with the reasons.
 
-        An image without `centre_mm` is used unchanged. The keys for a site, a cortical shell and a
-        guide hole then have no effect.
+        Without `centre_mm`, the keys for a site, a cortical shell and a guide hole have no effect.
         """
         whole = Idle("for an image as it is, without anatomy.centre_mm", "set anatomy.centre_mm")
         placing = (
@@ -224,50 +224,49 @@ class BlockImage(Block, ImageAnatomy):
 
 
 class Bone(Part):
-    """Bone from a file, at a site on its surface.
+    """Bone from a file; its origin is a site on its surface, where the tool works.
 
-    The layers inside the bone follow from one of three inputs: an image of the density, a surface
-    around the trabecular core, or the uniform thickness of the cortical shell.
+    One of three inputs determines the cortical and trabecular layers: an image of the density, a
+    surface around the trabecular bone, or a uniform thickness of the cortical bone.
     """
 
     kind: Literal["bone"] = "bone"
-    """The bone in `file` at a site on its surface."""
+    """The bone in `file`."""
     density_file: FileName | None = Field(None, examples=["density.nrrd"])
-    """Image of the apparent density [kg/m3] in the frame of `file`. The layers of the bone follow
-    from this density.
+    """Image of the apparent density [kg/m3], in the frame of `file`. It determines which bone is
+    cortical and which is trabecular.
     """
     cortical_above_kg_m3: Annotated[float, Needs("anatomy.density_file")] = Field(
         1000.0, ge=300, le=2000
     )
-    """Lowest apparent density of cortical bone in a `density_file`."""
+    """Apparent density in `density_file` above which bone is cortical."""
     articular_radius_mm: Annotated[float, Needs("anatomy.density_file")] = Field(0.0, ge=0, le=100)
-    """Distance from the site. Within this distance, dense bone near the surface is subchondral. Use
-    0 for a bone without a joint surface.
+    """Distance from the site within which dense bone near the surface is subchondral. With 0 there
+    is no subchondral bone.
     """
     core_file: Annotated[FileName | None, Needs("anatomy.density_file", is_absent=True)] = Field(
         None, examples=["cancellous.stl"]
     )
-    """Closed surface around the trabecular bone, in the frame of `file`."""
+    """File of a closed surface around the trabecular bone, in the frame of `file`."""
     cortical_thickness_mm: Annotated[
         float,
         Needs("anatomy.density_file", is_absent=True),
         Needs("anatomy.core_file", is_absent=True),
     ] = Field(1.5, gt=0, le=10)
-    """Thickness of the cortical shell below the surface."""
+    """Thickness of the cortical bone below the surface."""
 
 
 class BoneSurface(Bone, SurfaceAnatomy):
-    """A bone from a surface file, for example from the file that `tissue import` writes for a CT
-    image.
+    """A bone from a surface file, for example from a file that `tissue import` writes.
 
-    The origin is at the site on the surface of the bone, with +z outward.
+    The origin is at the site, a point of the surface where the tool works, with +z outward.
     """
 
 
 class BoneImage(Bone, ImageAnatomy):
-    """A bone from an image.
+    """A bone from an image volume.
 
-    The origin is at the site on the surface of the bone, with +z outward.
+    The origin is at the site, a point of the bone's surface where the tool works, with +z outward.
     """
 
 
@@ -281,7 +280,9 @@ class Tooth(CutAnatomy):
     kind: Literal["molar"] = "molar"
     """A molar."""
     ligament_thickness_mm: float = Field(0.22, ge=0.1, le=0.5)
-    """Thickness of the periodontal ligament. For a tooth from files, it affects only the stress."""
+    """Thickness of the periodontal ligament. For a tooth from files, it affects only the computed
+    stress.
+    """
 
     @property
     def layer_files(self) -> dict[str, str]:
@@ -292,9 +293,9 @@ class Tooth(CutAnatomy):
 class MolarAnatomy(Tooth, Drilled):
     """A molar in its socket.
 
-    The origin is at the bottom of the central fossa, with +z out of the tooth. The shape of a real
-    tooth is read from one surface file per layer (`enamel_file` ...), or from a label volume
-    (`file` with `spacing_mm`).
+    The origin is at the bottom of the central fossa, with +z out of the tooth. The shape is
+    procedural. To read the shape of a real tooth, give one surface file per layer (`enamel_file`
+    and so on), or a label volume (`file`).
     """
 
     crown_width_mm: float = Field(11.0, ge=9, le=13)
@@ -310,38 +311,40 @@ class MolarAnatomy(Tooth, Drilled):
     caries_depth_mm: float = Field(0.0, ge=0, le=6)
     """Depth of a carious lesion below the central fossa. A sound tooth has 0."""
     caries_diameter_mm: Annotated[float, Needs("anatomy.caries_depth_mm")] = Field(3.0, gt=0, le=8)
-    """Diameter of the lesion."""
+    """Diameter of the carious lesion."""
 
 
 class ToothSite(Tooth):
-    """Tooth from files, with the choice of the site at which the tool enters."""
+    """Tooth from files, with a choice of the place where the tool enters."""
 
     site: Literal["enamel", "caries"] = "enamel"
-    """Entry site of the tool on a tooth from files. With `enamel` the tool enters along the axis of
-    the tooth, and with `caries` directly above the lesion.
+    """Place where the tool enters a tooth from files. With `enamel` the tool enters along the axis
+    of the tooth, and with `caries` it enters directly above the lesion.
     """
 
 
 class MolarSurfaces(ToothSite, Drilled):
-    """A tooth from one closed surface per layer, all in one frame."""
+    """A tooth from one closed surface per layer; all surfaces are in the same frame."""
 
     source: ClassVar[str] = "from surfaces"
     scale_mm: float | None = Field(None, gt=0, le=1e5, examples=[1.0])
-    """Millimetres per unit of the surface files. Without this key, the unit is guessed, and a note
-    of the run shows the guess.
+    """Millimetres per length unit of the surface files. Without this key, the unit is guessed, and
+    a note of the run reports the guess.
     """
     enamel_file: FileName | None = Field(None, examples=["enamel.stl"])
-    """Closed surface of the enamel, in the frame of the other layers."""
+    """File of the closed surface of the enamel."""
     dentin_file: FileName | None = Field(None, examples=["dentin.stl"])
-    """Closed surface of the dentin."""
+    """File of the closed surface of the dentin."""
     pulp_file: FileName | None = Field(None, examples=["pulp.stl"])
-    """Closed surface of the pulp. It is the structure `pulp` for `keep_clear.names`."""
+    """File of the closed surface of the pulp. With this file, `keep_clear.names` may contain
+    `pulp`.
+    """
     caries_file: FileName | None = Field(None, examples=["caries.stl"])
-    """Closed surface of a carious lesion."""
+    """File of the closed surface of a carious lesion."""
     ligament_file: FileName | None = Field(None, examples=["ligament.stl"])
-    """Closed surface of the periodontal ligament."""
+    """File of the closed surface of the periodontal ligament."""
     socket_mm: float = Field(0.0, ge=0, le=10)
-    """Thickness of the bone that is added around the ligament of a tooth from surfaces."""
+    """Thickness of the bone that is added around the periodontal ligament."""
 
     @property
     def layer_files(self) -> dict[str, str]:
@@ -360,9 +363,9 @@ class MolarLabels(ToothSite):
 
     source: ClassVar[str] = "from labels"
     file: FileName = Field(examples=["labels.nii.gz"])
-    """Label volume, in which each layer of the tooth has a label."""
+    """File of a label volume, in which each layer of the tooth has a label."""
     spacing_mm: float | None = Field(None, gt=0, le=10, examples=[0.0195])
-    """Edge of a voxel, for a label volume that does not contain the voxel size, such as TIFF or PNG
+    """Edge of a voxel of the label volume, for files without this information, such as TIFF or PNG
     slices.
     """
 
@@ -377,34 +380,35 @@ class VertebraAnatomy(Drilled):
     kind: Literal["vertebra"] = "vertebra"
     """A lumbar vertebra, L4 by default."""
     body_width_mm: float = Field(48.0, ge=36, le=60)
-    """Width of the body."""
+    """Width of the vertebral body."""
     body_depth_mm: float = Field(34.5, ge=26, le=45)
-    """Depth of the body, front to back."""
+    """Depth of the vertebral body, front to back."""
     body_height_mm: float = Field(25.0, ge=20, le=34)
-    """Height of the body."""
+    """Height of the vertebral body."""
     canal_width_mm: float = Field(25.4, ge=16, le=32)
     """Width of the spinal canal."""
     canal_depth_mm: float = Field(18.6, ge=11, le=26)
     """Depth of the spinal canal, front to back."""
     pedicle_width_mm: float = Field(12.9, ge=5, le=22)
-    """Width of the pedicle. It must be more than three times the thickness of the pedicle's cortex.
-    """
+    """Width of the pedicle. It must be more than three times `pedicle_cortex_mm`."""
     pedicle_height_mm: float = Field(14.8, ge=8, le=22)
     """Height of the pedicle."""
     pedicle_angle_deg: float = Field(17.7, ge=0, le=35)
-    """Angle by which the pedicle's axis turns towards the midline, from back to front."""
+    """Angle between the pedicle's axis and the front-back direction, towards the midline at the
+    front.
+    """
     pedicle_cortex_mm: float = Field(1.0, ge=0.3, le=3)
     """Thickness of the cortical bone of pedicle and arch."""
     trabecular_density_kg_m3: float = Field(180.0, ge=50, le=1200)
-    """Apparent density of the trabecular bone in the body."""
+    """Apparent density of the trabecular bone in the vertebral body."""
     pedicle_density_kg_m3: float = Field(280.0, ge=50, le=1200)
     """Apparent density of the trabecular bone in pedicle and arch."""
     cortical_density_kg_m3: float = Field(1800.0, ge=200, le=2200)
-    """Apparent density of the cortex."""
+    """Apparent density of the cortical bone."""
 
 
 class WallAnatomy(Part):
-    """A stiff virtual wall. Its face is at z = 0, and a ball is pushed against the face."""
+    """A stiff virtual wall with its face at z = 0, against which a ball is pushed."""
 
     reads: ClassVar[tuple[str, ...]] = ()
     kind: Literal["wall"] = "wall"

@@ -1,6 +1,6 @@
 """Loading of scenes by name or from TOML files, with overrides.
 
-Files of version 0.2 have the device's keys at the top level. Such files are converted.
+Files of tissue 0.2 have the keys of the table ``device`` at the top level. They are converted.
 """
 
 import tomllib
@@ -28,19 +28,19 @@ from tissue.scene.tool import Tool
 FORMAT = 2
 """Version of the scene file format.
 
-If a file does not contain its version, the version is recognised from the keys of the file.
+In a file without the key ``format``, the version is recognised from the other keys.
 """
 FIRST_WITHOUT_IDLE_KEYS = 2
-"""First format in which runs save no keys without effect."""
+"""First file format in which the scene that a run saves contains no keys without effect."""
 OF_DEVICE = ("hand", "renderer", "prediction", "perception", "coupling", "hardware")
-"""Keys of the table [device] that were at the top level in version 0.2.
+"""Keys of the table ``device`` that were at the top level in tissue 0.2.
 
-Overrides may give these keys without ``device.``.
+In overrides, these keys may be given without ``device.``.
 """
 KEPT = {"description", "seed", "voxels", "output", "device", "hand", "renderer"}
-"""Keys that are in every scene file of a run that was saved before files had a version.
+"""Keys by which a scene file without a version is recognised as saved by a run.
 
-Such a file contains all defaults.
+Such a file contains all keys, including those with default values.
 """
 REMOVED = {
     "organ": {
@@ -50,11 +50,11 @@ REMOVED = {
         "law_edge_ratio": 1.4,
     }
 }
-"""Removed keys of version 0.2, keyed by table, with values that had no effect."""
+"""Keys of tissue 0.2 that no longer exist, with values that had no effect, keyed by table."""
 
 
 class OldSceneWarning(UserWarning):
-    """Warning about a scene file in the format of version 0.2."""
+    """Warning about a scene file in the format of tissue 0.2."""
 
 
 def full_key(key: str, value: object = None) -> str:
@@ -70,8 +70,8 @@ def full_key(key: str, value: object = None) -> str:
 def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
     """Convert the table of a scene file to the current format.
 
-    The second value that is returned is True if the file may contain keys without effect. Runs
-    wrote such keys up to format 1. In a file of format 2, a user has added them.
+    The second returned value is True if keys without effect are accepted, because a run wrote them.
+    Runs wrote such keys only up to format 1.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
 
 
 def _drop_removed(table: Mapping[str, Any]) -> None:
-    """Remove keys that no longer exist, if their value had no effect."""
+    """Remove keys that no longer exist, if their values had no effect."""
     for part, keys in REMOVED.items():
         inner = table.get(part)
         if isinstance(inner, dict):
@@ -129,9 +129,9 @@ def _drop_removed(table: Mapping[str, Any]) -> None:
 PARTS_WITH_FILES = ("anatomy", "motion", "tool", "device")
 """Tables of a scene with keys that name files."""
 RECORDED = "recorded"
-"""Name of the device whose address is a file."""
+"""Name of the device that replays a recording; its address is the path of a file."""
 REPLACED_DEVICE = "touch"
-"""Name of the device that the mouse of a live run replaces if the scene names no device."""
+"""Device of a live run if the scene names no device; the mouse moves the tool in its place."""
 
 
 def library_names() -> list[str]:
@@ -145,13 +145,13 @@ def library_names() -> list[str]:
 
 @suggests_arguments
 def scene_names() -> list[str]:
-    """Return the names of all scenes: built-in, registered, and of installed packages."""
+    """Return the names of all scenes: built-in, registered, and from installed packages."""
     return sorted({*library_names(), *SCENES})
 
 
 @suggests_arguments
 def scene_text(name: str) -> str:
-    """Return the TOML text of a scene by its name.
+    """Return the TOML text of the scene with a name.
 
     Raises
     ------
@@ -184,13 +184,14 @@ def load_scene(
     Parameters
     ----------
     source
-        Name of a scene, see `scene_names`, or path of a TOML file.
+        Name of a scene (see `scene_names`), or path of a TOML file.
     overrides
-        Values, keyed by dotted key, such as ``{"voxels.spacing_mm": 0.2}``. Keys of the table
-        ``device`` may be given without the name of the table: ``hand``, ``coupling.delay_ms``. If a
-        key of the scene has no effect any more because of an override, the key is removed.
+        Values that replace values of the scene, keyed by dotted key, such as
+        ``{"voxels.spacing_mm": 0.2}``. Keys of the table ``device`` may be given without the name
+        of the table: ``hand``, ``coupling.delay_ms``. If an override makes another key of the scene
+        ineffective, that key is removed.
     live
-        True if a mouse moves the tool of a scene that names no device.
+        True for a live run, in which the mouse moves the tool if the scene names no device.
 
     Raises
     ------
@@ -238,23 +239,23 @@ def _parsed(text: str, path: Path) -> dict[str, Any]:
 
 
 def scene_table(path: Path) -> dict[str, Any]:
-    """Return the unchanged content of a scene's file.
+    """Return the content of a scene file as a table, without validation.
 
     Raises
     ------
     InputError
-        If the file cannot be read or is no TOML.
+        If the file cannot be read or is not valid TOML.
     """
     return _parsed(_read(path), path)
 
 
 def saved_text(scene: Scene) -> str:
-    """Return a scene as TOML for a run folder, with the versions of the format and of tissue."""
+    """Return a scene as TOML text, with the version of the file format and of tissue."""
     return f'format = {FORMAT}\ntissue = "{package_version()}"\n{scene.to_toml()}'
 
 
 def changed(scene: Scene, overrides: Mapping[str, object]) -> Scene:
-    """Return a scene in which the values of dotted keys are replaced.
+    """Return a copy of a scene with some values replaced, keyed by dotted key.
 
     The value None resets a key to its default.
 
@@ -269,10 +270,10 @@ def changed(scene: Scene, overrides: Mapping[str, object]) -> Scene:
 def _replaced(
     table: dict[str, Any], overrides: Mapping[str, object], *, live: bool = False
 ) -> Scene:
-    """Return the scene of a table in which the values of dotted keys are replaced.
+    """Return the scene of a table after some values are replaced, keyed by dotted key.
 
-    Keys of the table that lose their effect through an override are removed. Keys that had no
-    effect before are refused, and so are overrides that have no effect.
+    Keys of the table that an override makes ineffective are removed. An error is raised for keys
+    that had no effect before, and for overrides that have no effect.
     """
     try:
         require_shallow(dict(overrides))
@@ -327,9 +328,9 @@ def _replaced(
 
 
 def _scene(table: Mapping[str, Any], keep: Callable[[str], bool] = lambda key: True) -> Scene:
-    """Return the scene of a table; see `_settled`.
+    """Return the scene of a table; remove keys without effect that `keep` does not accept.
 
-    For an invalid table, the InputError of its first fault is raised.
+    If the table is invalid, the error for the first fault is raised.
     """
     found, _ = _settled(table, keep)
     if isinstance(found, InputError):
@@ -342,9 +343,9 @@ def _settled(
 ) -> tuple[Scene | InputError, set[str]]:
     """Remove keys that have no effect from a table; return its scene and the removed keys.
 
-    Another key may lose its effect when a key is removed. The table is therefore validated again
-    until no key is removed. Keys that `keep` accepts are not removed. For an invalid table, the
-    error of its first fault is returned instead of a scene.
+    After the removal of a key, other keys may have no effect. The table is therefore validated
+    again until no key is removed. Keys that `keep` accepts are not removed. If the table is
+    invalid, the error for the first fault is returned instead of a scene.
     """
     left = _without_nothing(table)
     found = set[str]()
@@ -365,7 +366,7 @@ def _settled(
 
 
 def _absolute(value: Any, folder: Path, key: str = "") -> Any:
-    """Return a value, or a table of values, with absolute file paths."""
+    """Return a copy of a value or a table in which all file paths are absolute."""
     if isinstance(value, Mapping):
         found = {
             name: _absolute(each, folder, f"{key}.{name}" if key else name)
@@ -386,7 +387,7 @@ def names_file(key: str) -> bool:
 
 
 def _with_absolute_record(device: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the table of a device, in which the file of a recorded device has an absolute path."""
+    """Return the table of a device; the file of a ``recorded`` device gets an absolute path."""
     hardware = device.get("hardware")
     if device.get("kind") != RECORDED or not isinstance(hardware, Mapping):
         return device
@@ -399,7 +400,7 @@ def _with_absolute_record(device: dict[str, Any], folder: Path) -> dict[str, Any
 def _absolute_path(folder: Path, name: str) -> str:
     """Return the absolute path of a file.
 
-    A loop of symbolic links is not resolved; it is refused later.
+    A loop of symbolic links is not resolved; opening the file raises an error later.
     """
     try:
         return str((folder / name).resolve())
@@ -408,7 +409,7 @@ def _absolute_path(folder: Path, name: str) -> str:
 
 
 def _require_no_nul(value: object, key: str = "") -> None:
-    """Refuse texts that contain the character NUL, which is not allowed in file names."""
+    """Raise an error if a text contains the character NUL, which file names must not contain."""
     if isinstance(value, str) and "\0" in value:
         raise InputError(key, "be text without the character NUL", shown(value), "leave it out")
     if isinstance(value, Mapping):
@@ -494,7 +495,7 @@ def parse_overrides(texts: Iterable[str]) -> dict[str, object]:
 
 
 def _place(table: dict[str, object], key: str, value: object) -> None:
-    """Set a dotted key in nested tables; a new kind removes keys that it does not have."""
+    """Set the value of a dotted key; a new ``kind`` removes keys that this kind does not have."""
     *parents, last = key.split(".")
     if len(parents) > DEEPEST:
         raise InputError(
@@ -522,9 +523,9 @@ def _place(table: dict[str, object], key: str, value: object) -> None:
 
 
 def _kept_of_cutter(tool: Mapping[str, object], kind: object) -> dict[str, object]:
-    """Return the entries of a cutter that another kind of cutter has too.
+    """Return the entries of a cutter's table that are also valid for another kind of cutter.
 
-    The distance between cutting elements is chosen for a shape, so it is not kept.
+    ``shell_spacing_mm`` is not returned, because it was chosen for the shape of the old cutter.
     """
     if str(tool["kind"]) not in CUTTERS or str(kind) not in CUTTERS:
         return {}

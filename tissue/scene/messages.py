@@ -1,4 +1,4 @@
-"""Error messages for a scene: key, requirement, value and remedy."""
+"""Error messages for invalid scenes: key, requirement, given value and remedy."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -27,22 +27,22 @@ Key = tuple[str, ...]
 
 @dataclass(frozen=True)
 class _Place:
-    """Place of a key in a scene.
+    """Location of a key in a scene, with the classes of its table.
 
     Attributes
     ----------
     names
-        Names of the outer tables and of the key.
+        Names of the tables around the key, from the outside, and name of the key.
     table
-        Given table that contains the key.
+        Table, as given by the user, that contains the key.
     model
-        Chosen class of this table.
+        Class for this table, selected by its ``kind``.
     kinds
-        All classes that this table may have.
+        Classes for all kinds of this table.
     field
-        Field of the key; None for a key that the class does not have.
+        Pydantic field of the key; None if `model` does not have the key.
     is_inside
-        True for a fault inside the value of the key, such as an entry of a list.
+        True if the fault is inside the value of the key, such as in an entry of a list.
     """
 
     names: Key
@@ -54,9 +54,9 @@ class _Place:
 
     @classmethod
     def of(cls, location: Sequence[int | str], table: Table, model: type[BaseModel]) -> "_Place":
-        """Return the place of a dotted key, or of a fault that pydantic found.
+        """Return the location of a key, from the location of a fault that pydantic found.
 
-        The location of a fault also names the classes of tables, and types of values.
+        Names of classes and types in the location of the fault are skipped.
         """
         names: Key = ()
         kinds: Sequence[type[BaseModel]] = (model,)
@@ -89,17 +89,17 @@ class _Place:
 
     @property
     def value(self) -> object:
-        """Given value; None for a missing key."""
+        """Value that the user gave; None for a missing key."""
         return self.table.get(self.names[-1])
 
     @property
     def holders(self) -> list[type[BaseModel]]:
-        """Classes of the table that have the key, in the order of the union."""
+        """Classes in `kinds` that have the key."""
         return [part for part in self.kinds if self.names[-1] in part.model_fields]
 
 
 def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) -> InputError:
-    """Return the error, with a message for users, for a fault that pydantic found in a table."""
+    """Convert a fault that pydantic found in a table to an error with a message for users."""
     place = _Place.of(fault["loc"], table, model)
     key = place.key
     kind = str(fault["type"])
@@ -154,7 +154,7 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
 def _idle_error(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle]]) -> InputError:
     """Return the error for keys without effect.
 
-    The error names all keys that have no effect for the same reason as the first key.
+    The message contains all keys that have no effect for the same reason as the first key.
     """
     first = next(iter(refused.values()))[1]
     given = {
@@ -171,10 +171,10 @@ def _idle_error(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle
 
 
 def _unknown_key(place: _Place, table: Table, model: type[BaseModel]) -> InputError:
-    """Return the error for a key that the chosen table does not have.
+    """Return the error for a key that the table of its kind does not have.
 
-    The error suggests keys of the same meaning. These keys belong to this table, to another kind of
-    this table, or to another table.
+    The message suggests similar keys of this table, of this table with another kind, or of another
+    table.
     """
     names = place.names
     if place.holders:
@@ -197,7 +197,7 @@ def _unknown_key(place: _Place, table: Table, model: type[BaseModel]) -> InputEr
 
 
 def _of_density(names: Key, table: Table) -> str:
-    """Return how to change the density of a bone that has an image of its density, or no text."""
+    """Return advice on a density key of a bone with `density_file`, else an empty text."""
     has_image = "density_file" in _inner(table, "anatomy")
     if has_image and names[0] == "anatomy" and "density" in names[-1]:
         return (
@@ -208,17 +208,19 @@ def _of_density(names: Key, table: Table) -> str:
 
 
 def _meant(names: Key, keys: Mapping[Key, bool]) -> list[Key]:
-    """Return the keys that an unknown key most likely means, best first.
+    """Return the keys that a user most likely meant by an unknown key, best first.
 
-    If a chosen table has one of these keys, keys of other kinds are left out. Keys in the table of
-    the unknown key come first. A key that is written without a table may belong to any table.
+    Keys that the tables of the scene have are preferred to keys that they would have with another
+    kind. Keys in the table of the unknown key come first. An unknown key without a table may belong
+    to any table.
 
     Parameters
     ----------
     names
         The unknown key.
     keys
-        All keys, with True for keys of the chosen tables.
+        Candidates; True for a key that the tables of the scene have, False for a key that they
+        would have with another kind.
     """
     near = [full for full in keys if full[:-1] == names[:-1]]
     far = [full for full in keys if full[:-1] != names[:-1]]
@@ -235,11 +237,10 @@ def _meant(names: Key, keys: Mapping[Key, bool]) -> list[Key]:
 def _keys(
     table: Table, model: type[BaseModel], inside: Key = (), *, present: Key = ()
 ) -> Iterator[tuple[Key, bool]]:
-    """Yield the full names of keys that hold a value, and whether the chosen tables have these
-    keys.
+    """Yield the keys of all tables, each with True if the table has it with its chosen kind.
 
-    Keys of other kinds are yielded only for the table `present` and for the motion, because any
-    scene can have any motion.
+    Keys that a table would have with another kind are yielded only for the table `present` and for
+    the motion.
     """
     for name, field in model.model_fields.items():
         full = (*inside, name)
@@ -257,7 +258,7 @@ def _keys(
 
 
 def _of_another_kind(given: _Place, meant: _Place, table: Table) -> InputError:
-    """Return the error for a key that only other kinds of its table have.
+    """Return the error for a key that its table would have only with another kind.
 
     Parameters
     ----------
@@ -303,10 +304,10 @@ def _of_another_kind(given: _Place, meant: _Place, table: Table) -> InputError:
 
 
 def _of_another_tool(place: _Place, table: Table, chosen: type[BaseModel]) -> InputError:
-    """Return the error for a key of tissues that the tool of the scene cannot enter.
+    """Return the error for a key of an anatomy that the tool of the scene cannot work on.
 
-    `chosen` is the anatomy of the scene, for example the layers for a needle. If the tool of the
-    scene does not fit this anatomy, the error names the first anatomy for this tool.
+    `chosen` is the class of the scene's anatomy. If the tool cannot work on this anatomy either,
+    the message suggests the first anatomy that the tool can work on.
     """
     tool = kinds_of(_tool_of(chosen))[0]
     anatomy = kinds_of(chosen)[0]
@@ -327,17 +328,17 @@ def _of_another_tool(place: _Place, table: Table, chosen: type[BaseModel]) -> In
 
 
 def _tool_of(anatomy: type[BaseModel]) -> type[BaseModel]:
-    """Return the class of the tools for an anatomy."""
+    """Return the class of the tools that can work on an anatomy."""
     return ANATOMIES[kinds_of(anatomy)[0]].tool
 
 
 def _source(part: type[BaseModel]) -> str:
-    """Return the origin of the shape that a table describes."""
+    """Return the source of the shape of a table class, such as ``procedural``."""
     return str(getattr(part, "source", ""))
 
 
 def idle_keys(fault: ErrorDetails, table: Table) -> list[str]:
-    """Return the dotted keys that a pydantic fault reports as keys without effect in the scene."""
+    """Return the dotted keys without effect that a fault of pydantic reports."""
     place = _Place.of(fault["loc"], table, Scene)
     if fault["type"] == "idle_keys":
         return [".".join((*place.names, key)) for key in fault["ctx"]["refused"]]
@@ -356,23 +357,21 @@ def entries(table: Table, prefix: str = "") -> Iterator[tuple[str, object]]:
 
 
 def _shown(value: object) -> str:
-    """Return a refused value as text; decimal point and quotes are shown because they may be the
-    fault.
-    """
+    """Return an invalid value as text, with decimal point and quotes, which may be the fault."""
     if isinstance(value, float) and value.is_integer():
         return repr(value)
     return f'"{shown(value)}"' if isinstance(value, str) and value[:1].isdigit() else shown(value)
 
 
 def choices_of(field: FieldInfo) -> list[str]:
-    """Return the names that a field accepts as value; empty for a field of another type."""
+    """Return the names that a field accepts as values; empty if the field accepts other values."""
     literals = [part for part in _alternatives(field.annotation) if get_origin(part) is Literal]
     named = [name for each in field.metadata if isinstance(each, OneOf) for name in each.names]
     return named or [str(choice) for part in literals for choice in get_args(part)]
 
 
 def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
-    """Return a text about the values that a field accepts."""
+    """Return a text that describes the values that a field accepts."""
     part = _alternatives(field.annotation)[0]
     bounds = _bounds([*field.metadata, *_limits(field.annotation)])
     if part in (int, float):
@@ -401,7 +400,7 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
 
 
 def _bounds(metadata: Iterable[object]) -> str:
-    """Return the limits of annotations as text."""
+    """Return the limits of a number, from the annotations of a field, as text."""
     flat = [
         inner
         for each in metadata
@@ -421,9 +420,9 @@ MEASURE = re.compile(r"([-+]?\d*\.?\d+(?:[eE][-+]?\d+)?)\s*([^\s\d]+)")
 
 
 def _corrected(key: str, got: object, kind: str, *, is_number: bool) -> str:
-    """Return an instruction with the corrected value of the user; empty if it is not clear.
+    """Return an instruction with the user's value corrected; empty if no correction is obvious.
 
-    A unit is removed only from the value of a key that takes a number.
+    For example, the unit is removed from ``22mm`` if the key takes a number.
     """
     if not isinstance(got, str):
         return ""
@@ -437,7 +436,7 @@ def _corrected(key: str, got: object, kind: str, *, is_number: bool) -> str:
 
 
 def _remedy(field: FieldInfo) -> str:
-    """Return an instruction with a valid value: the example or the default of the field."""
+    """Return an instruction with a valid value: an example or the default of the field."""
     value = field.examples[0] if field.examples else field.default
     if value == "":
         return "put it in quotes"
@@ -453,9 +452,9 @@ def _addition(names: tuple[str, ...], field: FieldInfo) -> str:
 
 
 NOTHING = ("", "none", "None", "null")
-"""Values by which users try to unset a key."""
+"""Values that users write to remove the value of a key."""
 FITTING = (str, int, float, list, tuple, Mapping)
-"""Types of values that can be shown in a remedy."""
+"""Types of values that can be written into an instruction for the user."""
 
 
 def _toml(value: object) -> str:
@@ -468,24 +467,24 @@ def _toml(value: object) -> str:
 
 
 def _values(field: FieldInfo) -> FieldInfo | None:
-    """Return the field for the values of a mapping; None for a field that is not a mapping."""
+    """Return a field for the values of a field that is a mapping; None for other fields."""
     part = _alternatives(field.annotation)[0]
     return FieldInfo.from_annotation(get_args(part)[1]) if get_origin(part) is dict else None
 
 
 def _chosen(field: FieldInfo, table: Table) -> type[BaseModel]:
-    """Return the class of a given table; for an unknown kind, the first class of the field."""
+    """Return the class for a table, selected by its kind; for an unknown kind, the first class."""
     mark = _by_kind(field)
     return (mark and mark.chosen(table)) or _parts(field)[0]
 
 
 def _by_kind(field: FieldInfo) -> ByKind | None:
-    """Return the `ByKind` mark of a union of tables; None for other fields."""
+    """Return the `ByKind` annotation of a field; None if it has none."""
     return next((each for each in field.metadata if isinstance(each, ByKind)), None)
 
 
 def _parts(field: FieldInfo) -> list[type[BaseModel]]:
-    """Return the models that a field may contain; empty for a plain value."""
+    """Return the table classes that a field accepts; empty if the field is no table."""
     mark = _by_kind(field)
     if mark is not None:
         return list(mark.parts())
@@ -511,7 +510,7 @@ def _alternatives(annotation: object) -> list[object]:
 
 
 def _limits(annotation: object) -> list[object]:
-    """Return the limits that apply to only one of several types."""
+    """Return the limits in an annotation that apply to only one of its types."""
     return [limit for each in get_args(annotation) for limit in getattr(each, "__metadata__", ())]
 
 

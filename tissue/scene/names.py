@@ -1,7 +1,7 @@
-"""Registries of the parts that the keys of a scene can name, one for each kind of part.
+"""Registries of parts, such as tools and devices, that keys of a scene select by name.
 
-An entry contains the properties of a part. The functions that make built-in parts are in higher
-packages.
+There is one registry for each kind of part. An entry contains the properties of a part. The code of
+built-in parts is in other packages.
 """
 
 from collections.abc import Callable, Mapping
@@ -17,20 +17,20 @@ Factory = Callable[..., Any]
 
 @dataclass(frozen=True)
 class AnatomyEntry:
-    """Properties of a tissue.
+    """Properties of a kind of tissue (anatomy).
 
     Attributes
     ----------
     parameters
-        Classes of the scene tables for this tissue, one for each source of the shape. Their
-        ``kind`` is the name of the entry.
+        Classes of the table ``anatomy`` for this tissue, one for each source of the shape. The
+        value of the key ``kind`` in these tables is the name of the entry.
     tool
-        Class of the tools for this tissue.
+        Class of the tools that can work on this tissue.
     build, force_N, pictures, faces
         Functions of a registered tissue, see `tissue.register`. `build` makes the objects that a
-        run needs. `force_N` estimates the largest force on the scripted motion [N]. `pictures` maps
-        file names to functions that draw pictures of a run. `faces` returns the faces of the tissue
-        that a window shows.
+        run needs. `force_N` estimates the largest force during the motion of the scene [N].
+        `pictures` maps file names to functions that draw pictures of a run. `faces` returns the
+        triangles with which a window shows the tissue.
     """
 
     parameters: tuple[type[Part], ...]
@@ -43,16 +43,16 @@ class AnatomyEntry:
 
 @dataclass(frozen=True)
 class CutterEntry:
-    """Properties of a cutter.
+    """Properties of a kind of rotating cutter.
 
     Attributes
     ----------
     profile
         Function that returns the half section of a registered cutter. Its arguments are
-        ``diameter_m`` and the values of `keys` in SI units: ``length_m`` for the key ``length_mm``,
-        ``point_angle_rad`` for the key ``point_angle_deg``.
+        ``diameter_m`` and one argument in SI units for each of `keys`: ``length_m`` for the key
+        ``length_mm``, ``point_angle_rad`` for the key ``point_angle_deg``.
     keys
-        Keys of the tool table that define the shape in addition to the diameter.
+        Keys of the table ``tool`` that define the shape in addition to the diameter.
     """
 
     profile: Factory | None = None
@@ -61,14 +61,14 @@ class CutterEntry:
 
 @dataclass(frozen=True)
 class ProbeEntry:
-    """Properties of a probe.
+    """Properties of a kind of smooth pressing tool.
 
     Attributes
     ----------
     make
-        Function that makes a registered probe from its scene table.
+        Function that makes a registered probe from the table ``tool`` of a scene.
     keys
-        Keys of the tool table that define the shape.
+        Keys of the table ``tool`` that define the shape.
     """
 
     make: Factory | None = None
@@ -77,14 +77,16 @@ class ProbeEntry:
 
 @dataclass(frozen=True)
 class MotionEntry:
-    """Properties of a motion.
+    """Properties of a kind of motion.
 
     Attributes
     ----------
     parameters
-        Class of the scene table for this motion. Its ``kind`` is the name of the entry.
+        Class of the table ``motion`` for this motion. The value of the key ``kind`` in this table
+        is the name of the entry.
     make
-        Function that makes a registered motion from this table and the duration of a tick [s].
+        Function that makes a registered motion from an instance of `parameters` and the duration of
+        a tick [s].
     """
 
     parameters: type[Part]
@@ -93,18 +95,18 @@ class MotionEntry:
 
 @dataclass(frozen=True)
 class DeviceEntry:
-    """Properties of a haptic device.
+    """Properties of a kind of haptic device.
 
     Attributes
     ----------
     numbers
-        Values of `tissue.haptics.device.device.DeviceParameters`, keyed by name, for the stability
-        check and the simulated device.
+        Values of `tissue.haptics.device.device.DeviceParameters`, keyed by name. The stability
+        check and the simulated device use them.
     make
-        Function that opens the physical device of a registered kind of device. Its argument is the
-        start position of the tool in the scene [m].
+        Function that opens the real device, if the kind of device was registered. Its argument is
+        the start position of the tool in the scene [m].
     has_adapter
-        True if `tissue.haptics.real` opens the real device.
+        True if `tissue.haptics.real` can open the real device.
     """
 
     numbers: Mapping[str, float]
@@ -113,24 +115,25 @@ class DeviceEntry:
 
     @property
     def is_real(self) -> bool:
-        """True if a physical device of this kind can be opened, not only a simulated one."""
+        """True if a real device of this kind can be opened, not only a simulated device."""
         return self.make is not None or self.has_adapter
 
 
 @dataclass(frozen=True)
 class PredictorEntry:
-    """Properties of a predictor.
+    """Properties of a kind of force predictor.
 
     Attributes
     ----------
     make
-        Function that makes a registered predictor from the trained data of the scene and the
-        largest force of the device [N]. The data are None for a predictor that is not trained.
+        Function that makes a registered predictor. Its arguments are the data that `tissue train`
+        wrote for the scene, or None for a predictor that is not trained, and the largest force of
+        the device [N].
     trained
         True if the predictor needs the output of `tissue train`.
     colour, marker
-        Colour and marker in charts, in matplotlib's notation. Empty for a registered predictor, for
-        which a chart chooses them.
+        Colour and marker in charts, in matplotlib's notation. If they are empty, a chart chooses
+        them.
     """
 
     make: Factory | None = None
@@ -168,19 +171,19 @@ PROBES = Registry(
 NEEDLES: Registry[Callable[..., Any] | None] = Registry(
     "tool.kind", {"needle": None}, group="tissue.needles"
 )
-"""Needles, with functions that return the tissue of a registered needle from ``walls``.
+"""Needles: for a registered needle, a function that returns the tissue that it pierces.
 
-``walls`` are the membranes below the capsule, from the surface downwards.
+The argument ``walls`` of the function contains the membranes in the tissue, ordered by depth.
 """
 
 
 def _numbers(table: str, *names: str) -> dict[str, float]:
-    """Return the values of a data file."""
+    """Return values from a table of the data files in `tissue/materials`."""
     return {key: entry.value for name in names for key, entry in constants(table, name).items()}
 
 
 REAL = ("haply", "forcedimension", "sigma-7", "openhaptics", "network", "recorded")
-"""Devices that `tissue.haptics.real` opens; the other devices of the data file are simulated."""
+"""Real devices that `tissue.haptics.real` can open; all other built-in devices are simulated."""
 DEVICES = Registry(
     "device",
     {
@@ -195,9 +198,9 @@ HANDS: Registry[Mapping[str, float]] = Registry(
     {name: _numbers("hands", "any", name) for name in listed("hands") if name != "any"},
     group="tissue.hands",
 )
-"""Hands that hold a device, with values of `tissue.haptics.hand.hand.HandParameters`."""
+"""Simulated hands, with values of `tissue.haptics.hand.hand.HandParameters`."""
 GROUPS = HANDS.known
-"""Groups of people with known hands and known force perception, for studies and training."""
+"""User groups whose hands and force perception have parameters, for studies and training."""
 RENDERERS: Registry[Callable[..., Any] | None] = Registry(
     "renderer",
     {
@@ -207,7 +210,7 @@ RENDERERS: Registry[Callable[..., Any] | None] = Registry(
     },
     group="tissue.renderers",
 )
-"""Rendering laws, with functions that make a registered law from the loop of its wall."""
+"""Rendering laws: for a registered law, a function that makes it from a `WallLoop`."""
 
 
 PREDICTORS = Registry(
@@ -222,7 +225,7 @@ PREDICTORS = Registry(
     },
     group="tissue.predictors",
 )
-"""Predictors of the force on a device, with chart colours after Okabe and Ito (2008)."""
+"""Predictors of the force at a device, with chart colours from Okabe and Ito (2008)."""
 PERCEPTIONS: Registry[Callable[..., Any] | None] = Registry(
     "perception",
     {
@@ -231,18 +234,18 @@ PERCEPTIONS: Registry[Callable[..., Any] | None] = Registry(
     },
     group="tissue.perceptions",
 )
-"""Perceptual maps, which scale the force on a device."""
+"""Perception models, which scale the force at a device for a person."""
 CUTTING_MATERIALS: Registry[tuple[str, str]] = Registry(
     "cutting.material",
     {name: ("cutting", name) for name in ("bone", "enamel", "dentin", "soft")},
     group="tissue.materials",
 )
-"""Materials of bone for cutting: table of `tissue.materials.constants`, and name in this table."""
+"""Materials that are cut: table and name in `tissue.materials.constants`, keyed by scene name."""
 ORGAN_MATERIALS: Registry[tuple[str, str]] = Registry(
     "organ.material",
     {name: ("soft", name) for name in ("liver", "pressed_liver", "kidney")},
     group="tissue.materials",
 )
-"""Materials of a soft organ: table of `tissue.materials.constants`, and name in this table."""
+"""Materials of organs: table and name in `tissue.materials.constants`, keyed by scene name."""
 SCENES: Registry[Path] = Registry("scene", {}, group="tissue.scenes")
 """Files of registered scenes, keyed by scene name; built-in scenes are not included."""

@@ -1,7 +1,7 @@
 """Base class of scene tables, annotations of scene keys, and registries of names.
 
-`Needs` marks a key that has an effect only together with another key. `OneOf` and `ByKind` mark
-keys whose choices come from a registry.
+`Needs` annotates a key that has an effect only together with another key. `OneOf` and `ByKind`
+annotate keys whose allowed values come from a registry.
 """
 
 import re
@@ -33,32 +33,32 @@ if TYPE_CHECKING:
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 """File name suffixes of surface files.
 
-A file with any other suffix is an image, or a folder of image slices.
+A path with another suffix, or without a suffix, is an image or a folder of image slices.
 """
 LAYERS = ("enamel", "dentin", "pulp", "caries", "ligament")
-"""Layers of a tooth that have a surface of their own."""
+"""Layers of a tooth, for each of which a scene can name a surface file."""
 
 T = TypeVar("T")
 
 
 class Registry(Generic[T]):
-    """Registry of the parts of one kind, such as all devices, keyed by name.
+    """Parts of one kind that scenes select by name, such as all devices.
 
     Parameters
     ----------
     key
-        Scene key, used in messages, whose value is a name in this registry.
+        Scene key whose value is a name in this registry; used in messages.
     parts
-        Parts, keyed by name. A name such as ``observer:FILE`` matches texts with any argument after
-        the colon.
+        Parts, keyed by name. A name such as ``observer:FILE`` matches texts with any other text
+        after the colon.
     group
         Group of entry points through which installed packages offer more parts. The entry points
-        are read when a name is unknown, and when the names are listed.
+        are read only if a name is unknown, or if all names are requested.
 
     Attributes
     ----------
     built_in
-        Names of the parts that were given at construction.
+        Names of the parts in `parts`, without parts that were added later.
     """
 
     def __init__(self, key: str, parts: Mapping[str, T], *, group: str = "") -> None:
@@ -85,13 +85,13 @@ class Registry(Generic[T]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parts."""
+        """Names of all parts, including parts of installed packages."""
         ask_packages(self.group)
         return self.known
 
     @property
     def known(self) -> tuple[str, ...]:
-        """Names of the parts that are known so far, without reading entry points of packages."""
+        """Names of the parts that are known without reading entry points of packages."""
         return tuple(self._parts)
 
     def _why_not(self, name: str, *others: str) -> InputError:
@@ -101,15 +101,15 @@ class Registry(Generic[T]):
         return unknown_name(self.key, (*others, *self), name)
 
     def split(self, text: str, *others: str) -> tuple[str, str]:
-        """Return the name of the part that a text selects, and the argument after the colon.
+        """Return the name of the part that a text selects, and the text after the colon.
 
         For ``observer:a.json``, the result is ``observer:FILE`` and ``a.json``.
 
         Raises
         ------
         InputError
-            If the text matches no part. The message lists the names in the registry, and `others`,
-            further names that the key accepts.
+            If the text matches no part. The message lists the names in the registry and the names
+            in `others`.
         """
         if (found := self._split(text)) is not None:
             return found
@@ -119,7 +119,7 @@ class Registry(Generic[T]):
         raise self._why_not(text, *others)
 
     def _split(self, text: str) -> tuple[str, str] | None:
-        """Return name and argument of a text that matches a known part, or None."""
+        """Return the name of the known part that a text selects, and its argument, or None."""
         for name in self.known:
             head, colon, _ = name.partition(":")
             if text == name and not colon:
@@ -131,7 +131,7 @@ class Registry(Generic[T]):
     def with_file_at(self, text: str, folder: Path) -> str:
         """Return a text such as ``observer:a.json`` with the path of its file made absolute.
 
-        A relative path is relative to ``folder``.
+        A relative path is taken as relative to `folder`.
         """
         for name in self if ":" in text else ():
             head = name.removesuffix("FILE")
@@ -157,12 +157,12 @@ class Registry(Generic[T]):
         self.put(name, part)
 
     def put(self, name: str, part: T) -> None:
-        """Set the part of a name; an existing part is replaced."""
+        """Set the part with a name; an existing part with this name is replaced."""
         self._parts[name] = part
         self._changed()
 
     def remove(self, name: str) -> None:
-        """Remove a part that was added; its name may then be used for another part."""
+        """Remove a part that was added; its name can be used again."""
         self[name]
         del self._parts[name]
         self._changed()
@@ -174,7 +174,7 @@ class Registry(Generic[T]):
 
 @dataclass(frozen=True)
 class OneOf(Generic[T]):
-    """Annotation of a text key that allows the names in a registry, and a few other names.
+    """Annotation for a scene key whose value must be a name in a registry, or one of `others`.
 
     The value is checked when the scene is validated.
     """
@@ -184,12 +184,12 @@ class OneOf(Generic[T]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All names that are accepted now."""
+        """All accepted names, including names of parts of installed packages."""
         return (*self.others, *self.table)
 
     @property
     def known(self) -> tuple[str, ...]:
-        """Names that are known so far, without reading entry points of packages."""
+        """Names that are known without reading the entry points of installed packages."""
         return (*self.others, *self.table.known)
 
     def _check(self, name: str) -> str:
@@ -217,7 +217,7 @@ class OneOf(Generic[T]):
 
 
 def kinds_of(part: "type[BaseModel]") -> tuple[str, ...]:
-    """Return the values of `kind` that a part class accepts, as far as they are known."""
+    """Return the known values of the key `kind` that a table class accepts."""
     field = part.model_fields["kind"]
     return next(
         (each.known for each in field.metadata if isinstance(each, OneOf)),
@@ -231,14 +231,14 @@ SOURCES = {
     "surface": ("from a surface", "from a file", "from labels"),
     "image": ("from an image", "from labels", "from a file"),
 }
-"""Sources of a shape, keyed by the files in its table.
+"""Sources of a shape in messages, keyed by the type of the files in the table ``anatomy``.
 
-The first source that the kind supports is used.
+The first source for which the chosen kind has a table class is used.
 """
 
 
 def source_of(table: Mapping[str, object]) -> tuple[str, ...]:
-    """Return the possible sources of a shape, which depend on the files in its table."""
+    """Return the possible sources of a shape, determined from the file names in a table."""
     file = table.get("file")
     if not isinstance(file, str) or not file:
         has_layers = any(f"{layer}_file" in table for layer in LAYERS)
@@ -248,23 +248,23 @@ def source_of(table: Mapping[str, object]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ByKind:
-    """Annotation of a key that may hold one of several tables; ``kind`` selects the table.
+    """Annotation for a key that holds a table; the key ``kind`` in it selects the table class.
 
-    If a kind has several tables, the table is chosen by the source of the shape.
+    If a kind has several classes, the source of the shape (procedural, surface, image) selects one.
 
     Attributes
     ----------
     parts
-        Function that returns the tables that are known so far.
+        Function that returns the known table classes.
     groups
-        Groups of entry points that offer more tables.
+        Groups of entry points through which installed packages offer more table classes.
     """
 
     parts: "Callable[[], tuple[type[BaseModel], ...]]"
     groups: tuple[str, ...]
 
     def chosen(self, table: Mapping[str, object]) -> "type[BaseModel] | None":
-        """Return the class for a table with a kind; None for an unknown kind."""
+        """Return the class for a table, selected by its kind; None for an unknown kind."""
         variants = [part for part in self.parts() if table.get("kind") in kinds_of(part)]
         for source in source_of(table):
             for part in variants:
@@ -315,7 +315,7 @@ class ByKind:
 
 
 READ_BACK = {"written by": "tissue"}
-"""Validation context that accepts keys without effect.
+"""Context for pydantic with which keys without effect are accepted.
 
 The context is needed because a live run sets ``coupling.roam_mm`` at a wall, where this key has no
 effect.
@@ -327,22 +327,18 @@ Length_mm = Annotated[float, Field(ge=0.1, le=500)]
 Vector = Annotated[tuple[float, float, float], Strict(False)]
 
 Rule = tuple[str, bool, str, str]
-"""Keys (separated by blanks), True if they have no effect, reason, and remedy."""
+"""Keys (separated by blanks), True if these keys have no effect, reason, and remedy."""
 
 
 class Idle(NamedTuple):
-    """Reason why a key has no effect, such as ``without a nodule``, and the remedy."""
+    """Reason why a key has no effect, such as ``without a nodule``, and how to change the scene."""
 
     where: str
     remedy: str
 
 
 def is_given(part: "Part", name: str) -> bool:
-    """Return whether an entry was set to a value other than its default.
-
-    The functions that build a run check keys with this function, if the effect of the keys is known
-    only then.
-    """
+    """Return whether a key of a table was set to a value other than its default."""
     return (
         name in part.model_fields_set
         and getattr(part, name) != type(part).model_fields[name].default
@@ -350,21 +346,21 @@ def is_given(part: "Part", name: str) -> bool:
 
 
 def is_file_key(name: str) -> bool:
-    """Return whether a key of an anatomy, motion, tool or device names a file."""
+    """Return whether the value of a scene key is the name of a file."""
     return name == "file" or name.endswith("_file")
 
 
 @dataclass(frozen=True)
 class Needs:
-    """Annotation of a scene key that has an effect only together with another key.
+    """Annotation for a scene key that has an effect only if another key has a certain value.
 
-    The other key is in the same table. It must differ from its default, have a given value, or be
-    absent.
+    The other key is in the same table. It must have the value `value`, or any value except its
+    default, or be absent.
 
     Attributes
     ----------
     key
-        The other key, with the name of the part, such as ``anatomy.nodule_diameter_mm``.
+        The other key, with the name of the table, such as ``anatomy.nodule_diameter_mm``.
     value
         Value that the other key must have; None for any value except its default.
     is_absent
@@ -376,7 +372,7 @@ class Needs:
     is_absent: bool = False
 
     def why_not(self, part: "Part") -> Idle | None:
-        """Return the reason why the marked key has no effect in a part, or None."""
+        """Return the reason why the annotated key has no effect in a table, or None."""
         name = self.key.rpartition(".")[2]
         given = getattr(part, name)
         # A default means that nothing was chosen: 0 mm is no hole, and an empty name is no file.
@@ -399,7 +395,7 @@ class Needs:
 
 @suggests_arguments
 class Part(BaseModel):
-    """Immutable table of a scene; keys that are unknown or have no effect are refused."""
+    """Base class of the tables of a scene: immutable, and without unknown or ineffective keys."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -411,14 +407,14 @@ class Part(BaseModel):
     )
 
     def rules(self) -> Iterator[Rule]:
-        """Yield the rules for keys without effect that the annotation `Needs` cannot express."""
+        """Yield conditions, in addition to `Needs`, under which keys have no effect."""
         yield from ()
 
     def idle(self) -> dict[str, Idle]:
         """Return the keys that have no effect, with the reason for each key.
 
-        The result may also contain dotted keys of inner tables, and names of inner tables of which
-        no key has an effect.
+        The result may also contain dotted keys of inner tables, and names of inner tables without
+        any effective key.
         """
         found: dict[str, Idle] = {}
         for keys, is_idle, where, remedy in self.rules():
@@ -431,9 +427,9 @@ class Part(BaseModel):
         return found
 
     def changed_entries(self, prefix: str = "") -> dict[str, object]:
-        """Return the present values of all keys that differ from their defaults, by dotted key.
+        """Return the values that differ from their defaults, keyed by dotted key.
 
-        The keys ``kind`` are left out.
+        Keys with the name ``kind`` are left out.
         """
         found: dict[str, object] = {}
         for name, field in type(self).model_fields.items():
@@ -447,7 +443,7 @@ class Part(BaseModel):
         return found
 
     def effective_table(self) -> dict[str, Any]:
-        """Return the table for TOML, including defaults, without keys that have no effect."""
+        """Return the table with defaults, but without keys that have no effect."""
         table = self.model_dump(mode="json", exclude_none=True)
         idle = self.idle()
         for name in type(self).model_fields:
@@ -464,7 +460,7 @@ class Part(BaseModel):
         return {name: value for name, value in table.items() if value != {}}
 
     def require_valid(self) -> None:
-        """Check values that depend on each other; raise an InputError if they do not fit."""
+        """Raise an `InputError` if values that depend on each other are inconsistent."""
 
     @model_validator(mode="after")
     def _fits(self, info: ValidationInfo) -> "Part":

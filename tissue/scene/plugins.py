@@ -1,6 +1,6 @@
-"""Parts that installed packages offer through entry points.
+"""Loading of parts, such as tools and devices, from entry points of installed packages.
 
-Entry points are read once, when a name is unknown or the names are listed.
+The entry points are read once, when a name is unknown or all names are requested.
 """
 
 import warnings
@@ -24,7 +24,7 @@ OFFERED = {
         "scene",
     )
 }
-"""Names of the functions of `tissue.register`, keyed by group of entry points."""
+"""Methods of `tissue.register` that register parts, keyed by group of entry points."""
 _asked: set[str] = set()
 _refused: dict[tuple[str, str], str] = {}
 
@@ -34,10 +34,10 @@ class PluginWarning(UserWarning):
 
 
 def ask_packages(group: str) -> None:
-    """Register the parts that installed packages offer in a group of entry points.
+    """Register all parts in a group of entry points of installed packages.
 
-    Each group is read once. A part that cannot be used is left out with a `PluginWarning`; see
-    `refusal`. If the name of an offered part is already used, the registered part is kept.
+    Each group is read only once. A part that cannot be used is left out with a `PluginWarning`; see
+    `refusal`. If a part with the same name is already registered, that part is kept.
     """
     if not group or group in _asked:
         return
@@ -63,12 +63,12 @@ def ask_packages(group: str) -> None:
 
 
 def refusal(group: str, name: str) -> str | None:
-    """Return the reason why an offered part cannot be used, or None."""
+    """Return the reason why a part in a group of entry points was left out, or None."""
     return _refused.get((group, name))
 
 
 def offered_names() -> dict[str, list[str]]:
-    """Return the names of the parts that installed packages offer, keyed by kind of part.
+    """Return the names of the parts in entry points of installed packages, keyed by kind of part.
 
     The parts are not imported.
     """
@@ -76,7 +76,7 @@ def offered_names() -> dict[str, list[str]]:
 
 
 def _refuse(offer: EntryPoint, cause: str) -> str:
-    """Warn about an offered part that is left out; return the text of the warning."""
+    """Warn that the part of an entry point is left out; return the text of the warning."""
     what = f"{OFFERED[offer.group]} {offer.name} of the package {_package(offer)}"
     sentence = f"{what} cannot be used ({cause}): update or uninstall that package"
     # Level 4 is the code that used the name through `Registry`.
@@ -85,7 +85,7 @@ def _refuse(offer: EntryPoint, cause: str) -> str:
 
 
 def _package(offer: EntryPoint) -> str:
-    """Return the name and version of the package that offers a part."""
+    """Return the name and version of the package to which an entry point belongs."""
     return offer.value if offer.dist is None else f"{offer.dist.name} {offer.dist.version}"
 
 

@@ -1,7 +1,7 @@
-"""Registries of anatomies and motions, and the registries of all kinds of parts.
+"""Registries of anatomies and motions, and a table of all registries.
 
-Choices, messages, loops and charts use these registries. A line in a registry adds a part.
-`tissue.register` and the entry points of installed packages also add parts.
+A built-in part is a line in a registry. `tissue.register` and entry points of installed packages
+add more parts.
 """
 
 from typing import Any
@@ -85,9 +85,7 @@ ANATOMIES = Registry(
     },
     group="tissue.tissues",
 )
-"""Anatomies: for each kind, the table classes for each source of the shape, and the class of its
-tools.
-"""
+"""Anatomies: table classes, one for each source of the shape, and class of the tools."""
 MOTIONS = Registry(
     "motion.kind",
     {
@@ -111,4 +109,4 @@ TABLES: dict[str, tuple[Registry[Any], ...]] = {
     "material": (CUTTING_MATERIALS, ORGAN_MATERIALS),
     "scene": (SCENES,),
 }
-"""Registries within which a name may be used only once, keyed by kind of part."""
+"""Registries in which the name of a part must be unique, keyed by kind of part."""

@@ -1,8 +1,8 @@
 """Scenes: frozen, validated descriptions of a simulation.
 
-A scene is a TOML file. Every quantity carries its unit in its name. A scene is refused if a key is
-unknown or missing, or if a value is out of range or not finite. The message names the key, the
-value, the requirement and a remedy.
+A scene is a TOML file. Every quantity carries its unit in its name. A scene is invalid if a key is
+unknown or missing, or if a value is out of range or not finite. The error message contains the key,
+the value, the requirement and a remedy.
 """
 
 import math
@@ -54,15 +54,15 @@ ENTERED: dict[type[Part], str] = {
     Needle: "needle.liver.linear_N_mm",
     Blade: "soft.skin.toughness_J_m2",
 }
-"""Constant of a tissue that a tool enters, keyed by the class of the tool.
+"""Example of a tissue constant for error messages, keyed by the class of the tool.
 
-Messages use this constant as an example.
+The keys are the tools that enter soft tissue.
 """
 Name = Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9_]*$")]
 
 
 def _as_list(value: object) -> object:
-    """Return a list that contains a single text; other values are unchanged."""
+    """Return a list with the text as its entry; return other values unchanged."""
     return [value] if isinstance(value, str) else value
 
 
@@ -70,27 +70,28 @@ class KeepClear(Part):
     """Structures that the tool must not touch.
 
     The trace contains the distance of the tool from each structure. If the tool enters a structure,
-    the run records an event (breach).
+    the run records an event, called a breach.
     """
 
     names: Annotated[tuple[str, ...], BeforeValidator(_as_list)] = Field(
         (), strict=False, examples=[("canal",)]
     )
-    """Names of structures of the anatomy: `canal` of a vertebra or `pulp` of a molar that is
-    procedural or has `anatomy.pulp_file`. If the tool is more than 10 mm away from the scripted
-    motion, the distance from a procedural structure may be too large.
+    """Names of structures in the anatomy: `canal` for a vertebra; `pulp` for a molar that is
+    procedural or has `anatomy.pulp_file`. If the tool is more than 10 mm away from the motion of
+    the scene, the distance from a procedural structure may be overestimated.
     """
     files: dict[Name, str] = Field(default_factory=dict, examples=[{"canal": "canal.ply"}])
-    """Closed surface of each additional structure, by the name of the structure. The surface is in
-    the frame and unit of `anatomy.file`. Without such a file, it is in the site's frame in mm.
+    """File of a closed surface for each additional structure, keyed by the name of the structure.
+    The surface has the frame and the unit of `anatomy.file`. Without `anatomy.file`, it has the
+    frame of the scene and the unit mm.
     """
     margin_mm: float = Field(0.0, ge=0, le=10, examples=[1.0])
-    """Distance that the tool must keep from each structure. An event reports the first time at
-    which the distance is smaller. With 0, only breaches are reported.
+    """Distance that the tool must keep from each structure. An event reports when the distance is
+    smaller for the first time. With 0, only breaches are reported.
     """
 
     def require_valid(self) -> None:
-        """Check that at least one structure is named, and each structure once."""
+        """Check that at least one structure is given, and no structure twice."""
         if not self.names and not self.files:
             raise InputError(
                 "keep_clear", "state names or files", "neither", "remove it, or name a structure"
@@ -109,26 +110,27 @@ class Voxels(Part):
     spacing_mm: float = Field(0.1, gt=0, le=2, examples=[0.1])
     """Edge of a voxel."""
     removal: Literal["subvoxel", "binary"] = "subvoxel"
-    """Method of removal: `subvoxel` removes the part of a voxel inside the tool.
+    """Method of removal: `subvoxel` removes the part of a voxel that is inside the tool.
 
     `binary` removes a whole voxel once its centre is inside the tool.
     """
     margin_mm: float = Field(3.0, ge=0.5, le=50)
-    """Distance to which bone is simulated around the tool on the scripted motion. A hand can lead
-    the tool beyond this distance. An event then reports that the tool left the simulated region.
+    """Distance from the tool, along the motion of the scene, within which bone is simulated. If a
+    hand moves the tool out of this region, an event reports it.
     """
 
 
 class Cutting(Part):
     """Changes to the built-in cutting coefficients of bone.
 
-    Coefficients that are left out keep their built-in values, which come from the cited sources.
+    Coefficients that are left out have built-in values from published measurements.
     """
 
     material: Annotated[str, OneOf(CUTTING_MATERIALS)] = "bone"
-    """Material whose cutting coefficients are used for bone. The layers of a tooth keep their own
-    materials. The keys below replace the coefficients of all layers, also of a tooth. A file given
-    by `materials` can replace the coefficients of one layer, such as dentin.
+    """Material whose cutting coefficients are used for bone. The layers of a tooth have materials
+    of their own. The other keys of this table replace the coefficients of all layers, including
+    those of a tooth. To replace the coefficients of one layer, such as dentin, use a file in the
+    key `materials`.
     """
 
     tangential_chip_N_mm2: float | None = Field(None, ge=0, le=5000, examples=[150.0])
@@ -144,58 +146,56 @@ class Cutting(Part):
     axial_edge_N_mm: float | None = Field(None, ge=0, le=500, examples=[0.0])
     """Edge force along the edge, divided by the length of the edge."""
     density_exponent: float | None = Field(None, ge=0, le=5, examples=[1.5])
-    """Exponent of the ratio of density to reference density. This power scales all coefficients."""
+    """Exponent n of the density: all coefficients are scaled by (density / reference density) **
+    n.
+    """
     size_exponent: float | None = Field(None, ge=0, lt=1, examples=[0.5])
-    """Exponent m of the size effect: chip coefficients are proportional to (chip thickness) ** -m.
-    With 0 there is no size effect.
+    """Exponent m of the size effect: the three chip coefficients are proportional to (chip
+    thickness) ** -m. With 0 there is no size effect.
     """
     minimum_chip_um: float | None = Field(None, ge=0, le=50, examples=[1.0])
-    """Minimum chip thickness. Below this thickness, the force is proportional to the chip
-    thickness. With 0 the law is linear, and the full edge force acts at any feed.
+    """Chip thickness below which the force is proportional to the chip thickness. With 0, the full
+    edge force acts even on the thinnest chip.
     """
 
 
 class Output(Part):
-    """Processing of the model's force before it is commanded to a device."""
+    """Processing of the tissue's force before it is sent to a device."""
 
     low_pass_ms: float = Field(1.0, ge=0, le=1000)
-    """Time constant a of the low-pass filter y += (1 - exp(-T/a)) (u - y), where T is the tick, u
-    the input and y the output. With 0 the force is unchanged.
+    """Time constant a of the low-pass filter of the force: y += (1 - exp(-T/a)) (u - y), where T is
+    the duration of a tick, u the input and y the output. With 0 the force is not filtered.
     """
     vibration_share: float = Field(0.0, ge=0, le=1)
-    """Amplitude of the vibration from the teeth of the tool, divided by the average force. The
-    frequency is at most 250 Hz. A device plays this vibration too.
+    """Amplitude of the vibration that the teeth of the tool cause, divided by the average force.
+    The vibration is added to the force, with a frequency of at most 250 Hz.
     """
     cue_N: float = Field(0.0, ge=0, le=1, examples=[0.3])
-    """Amplitude of the transient that a device plays at events. The events are first contact,
-    contact with another layer, and a puncture. With 0 no transient is played.
+    """Amplitude of a short vibration that is added to the force at events: first contact, contact
+    with another layer, and a puncture. With 0 there is no vibration.
     """
 
 
 class Stress(Part):
-    """Displacement and stress of a tooth, computed with finite elements (cells) that contain
-    particles.
+    """Computation of displacement and stress in a tooth.
 
-    Without this table, displacement and stress are not computed.
+    The method uses finite elements (cells) that contain material particles. Without this table,
+    displacement and stress are not computed.
     """
 
     cell_mm: float = Field(0.5, ge=0.2, le=1.5)
-    """Edge of a cell (finite element). Half of this edge must be a whole multiple of
-    voxels.spacing_mm.
-    """
+    """Edge of a finite element. Half of it must be a whole multiple of `voxels.spacing_mm`."""
     interval_ms: float = Field(100.0, ge=10, le=10_000)
-    """Time between two solves. The stress shown at any time belongs to a state that is at most this
-    old.
-    """
+    """Time between two solutions. The shown stress is never older than this time."""
 
 
 def _without_stress(value: object) -> object:
-    """Return None for the text that leaves a table out."""
+    """Return None for the text ``none``; return other values unchanged."""
     return None if value == "none" else value
 
 
 OR_NONE = BeforeValidator(_without_stress, json_schema_input_type=Stress | Literal["none"] | None)
-"""Annotation of a table that the text ``none`` removes, as in ``--set stress=none``."""
+"""Annotation for a table of a scene; the text ``none`` removes it, as in ``--set stress=none``."""
 
 
 def anatomy_parts() -> tuple[type[Part], ...]:
@@ -222,7 +222,7 @@ AnyMotion = Annotated[
 
 @suggests_arguments
 class Scene(Part):
-    """Complete description of one simulation. Equal scenes give equal traces."""
+    """Complete description of one simulation; equal scenes give equal traces."""
 
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", examples=["glenoid-2"])
     """Name of the scene, and of its folder in runs/. The name may contain lower-case letters,
@@ -233,8 +233,8 @@ class Scene(Part):
     seed: int = Field(0, ge=0, lt=2**63)
     """Seed of all random draws."""
     duration_s: float | None = Field(None, ge=1e-3, le=3600, examples=[5.0])
-    """Simulated time. Default: the duration of the motion. If this time covers the whole motion and
-    a simulated hand moves the tool, the run is extended by the delay of the hand.
+    """Simulated time. Default: the duration of the motion. If a simulated hand moves the tool
+    through the whole motion, the reaction time of the hand is added.
     """
     anatomy: AnyAnatomy
     """Anatomy on which the tool acts."""
@@ -251,36 +251,36 @@ class Scene(Part):
     output: Output = Output()
     """Processing of the force before a device plays it."""
     device: Device | None = None
-    """Haptic device through which a hand moves the tool. Without this table, the scripted motion
-    moves the tool.
+    """Haptic device through which a hand moves the tool. Without this table, the tool follows the
+    table `motion`.
     """
     stress: Annotated[Stress | None, OR_NONE] = None
     """Cell size and interval for the displacement and stress of a tooth. `stress = "none"` computes
     neither.
     """
     heat: bool = False
-    """Computation of the temperature of bone, or of a tooth with its pulp."""
+    """True to compute the temperature of the bone or the tooth."""
     organ: Organ = Organ()
     """Material of a soft organ, and the method by which the deformation is computed."""
     materials: FileName = Field("", examples=["fitted.toml"])
-    """TOML file with constants, for example written by `tissue fit`. These constants replace the
-    built-in constants. If the text is empty, the built-in constants are used.
+    """TOML file with constants that replace built-in constants; `tissue fit` writes such files. If
+    the text is empty, the built-in constants are used.
     """
 
     fidelity: Fidelity | None = None
-    """Required accuracy or speed of the run. The program then chooses the settings of the run from
-    measurements on this machine.
+    """Required accuracy or speed of the run. With this table, the program chooses settings, such as
+    the voxel size, from measurements on this machine.
     """
 
     @property
     def bone(self) -> CutAnatomy:
-        """Anatomy of a scene whose tool cuts bone or a tooth; other scenes have no such anatomy."""
+        """The table `anatomy` of a scene in which a tool cuts bone or a tooth."""
         assert isinstance(self.anatomy, CutAnatomy), self.anatomy.kind
         return self.anatomy
 
     @property
     def held(self) -> Device:
-        """Device of the scene; the scene must have a device."""
+        """The table `device`; only for scenes that have a device."""
         assert self.device is not None, "the scene has no device"
         return self.device
 
@@ -291,14 +291,14 @@ class Scene(Part):
 
     @property
     def predictor_file(self) -> str:
-        """File of a trained predictor; empty for the predictor that is shipped for the scene."""
+        """File of a trained predictor; empty if the predictor shipped for the scene is used."""
         return "" if self.device is None else self.device.coupling.predictor_file
 
     @property
     def constants(self) -> Materials:
-        """Constants of the scene.
+        """Material constants for the scene.
 
-        They are the built-in constants, with the changes in the scene's file of constants.
+        They are the built-in constants, with replacements from the file in the key `materials`.
 
         Raises
         ------
@@ -374,11 +374,11 @@ class Scene(Part):
 
     @classmethod
     def read_back(cls, text: str) -> "Scene":
-        """Read a scene from JSON text that this program wrote; keys without effect are accepted."""
+        """Read a scene from JSON text that this program has written."""
         return cls.model_validate_json(text, context=READ_BACK)
 
     def rules(self) -> Iterator[Rule]:
-        """Yield the rules for keys that have no effect because of the content of another table."""
+        """Yield conditions under which keys have no effect because of another table."""
         yield from self._anatomy_rules()
         yield from self._tool_rules()
         yield from self._device_rules()
@@ -472,7 +472,7 @@ class Scene(Part):
         return tomli_w.dumps(self.effective_table())
 
     def _repr_html_(self) -> str:
-        """Return HTML for a notebook: the keys that were set, and all keys in a folded section."""
+        """Return HTML for a notebook: keys that were set, and all keys in a collapsed section."""
         import tomli_w
 
         stated = self.model_dump(

@@ -1,7 +1,7 @@
 """Texts of scenes for editors and reports.
 
-The functions return the folders of the files of a scene, and the JSON schema. They also read and
-write the site in a scene's file.
+The functions return the folders that a scene contains, and the JSON schema of scenes. They also
+read and write the site, where the tool works, in a scene file.
 """
 
 import json
@@ -22,12 +22,12 @@ from tissue.scene.scene import Scene
 
 
 def _texts_of(scene: Scene) -> list[str]:
-    """Return all texts of a scene except its name."""
+    """Return all values of a scene that are texts, except the name of the scene."""
     return list(_texts(scene.model_dump(mode="json", exclude={"name"})))
 
 
 def folders_of(scene: Scene) -> list[str]:
-    """Return the absolute folders of the files that a scene names, longest first.
+    """Return the folders of all absolute file paths in a scene, longest first.
 
     Each folder ends with the path separator. Root folders are left out.
     """
@@ -59,12 +59,12 @@ _ANATOMY = re.compile(r"(?m)^[ \t]*\[[ \t]*anatomy[ \t]*\][ \t]*(#[^\r\n]*)?")
 
 
 def anatomy_of(scene: Path) -> dict[str, object]:
-    """Return the unchanged table ``anatomy`` of a scene's file.
+    """Return the table ``anatomy`` of a scene file, without validation.
 
     Raises
     ------
     InputError
-        If the file is no TOML or has no such table.
+        If the file is not valid TOML or has no such table.
     """
     table = scene_table(scene).get("anatomy")
     if not isinstance(table, dict):
@@ -75,7 +75,7 @@ def anatomy_of(scene: Path) -> dict[str, object]:
 
 
 def save_site(scene: Path, centre_mm: Sequence[float], normal: Sequence[float]) -> None:
-    """Write a site into a scene's file.
+    """Write a site, where the tool works, into a scene file.
 
     Raises
     ------
@@ -138,11 +138,11 @@ STATED = {
     "format": {"description": "Version of this file's format.", "minimum": 1, "type": "integer"},
     "tissue": {"description": "Version of tissue that wrote this file.", "type": "string"},
 }
-"""Entries of a scene's file in addition to the fields of `Scene`."""
+"""JSON schema of the entries of a scene file that are not fields of `Scene`."""
 
 
 def schema_text() -> str:
-    """Return the JSON schema of a scene's file.
+    """Return the JSON schema of a scene file as text.
 
     The schema contains all keys with their descriptions, ranges and choices. The name of each key
     contains its unit.
@@ -155,12 +155,11 @@ def schema_text() -> str:
 
 
 def scene_for_editors(name: str) -> str:
-    """Return the TOML of a built-in scene with the schema named in its first line.
+    """Return the TOML text of a built-in scene, with a first line that locates the JSON schema.
 
-    The JSON schema is written to the cache folder, and the first line contains the ``file:`` URL of
-    the schema. Taplo, a TOML toolkit that editors use, resolves this URL from any folder and
-    without a network. If the cache folder cannot be written, the scene is returned without the
-    line.
+    Editors use the schema to complete and check keys. The schema is written to the cache folder,
+    and the first line contains its ``file:`` URL, which Taplo, the TOML toolkit of editors, can
+    read. If the cache folder cannot be written, the text is returned without this line.
 
     Raises
     ------
@@ -174,7 +173,7 @@ def scene_for_editors(name: str) -> str:
 
 
 def _written_schema() -> Path:
-    """Return the path of the schema in the cache, and write it unless it is up to date."""
+    """Write the schema to the cache folder unless it is up to date; return the path of its file."""
     path = (cache_folder() / "scene.schema.json").absolute()
     text = schema_text()
     if not (path.is_file() and path.read_bytes() == text.encode()):

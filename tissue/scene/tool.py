@@ -1,6 +1,6 @@
-"""Tools and motions of a scene.
+"""Tools and motions, as tables of a scene.
 
-The registries in `tissue.scene.names` list the keys of each cutter and probe.
+The registries in `tissue.scene.names` state which keys each cutter and probe has.
 """
 
 import math
@@ -51,7 +51,7 @@ CUTTER_KEYS: dict[str, Any] = {
         Field(0.0, ge=0, le=50, description="Length of the guide peg beyond the tip."),
     ),
 }
-"""Keys that define the shape of some cutters, in addition to the diameter."""
+"""Types and limits of keys that define the shape of some cutters, besides the diameter."""
 PROBE_KEYS: dict[str, Any] = {
     "diameter_mm": (
         float,
@@ -73,44 +73,42 @@ PROBE_KEYS: dict[str, Any] = {
         Field(1.0, gt=0, le=1e5, description="Millimetres per unit of the probe's file."),
     ),
 }
-"""Keys that define the shape of some probes."""
+"""Types and limits of keys that define the shape of some probes."""
 USUAL_PROBE_MM = 20.0
-"""Diameter for mesh refinement around a probe without a diameter [mm]. It is the diameter of a
-fingertip.
+"""Diameter that mesh refinement assumes for a probe without a diameter [mm]; that of a fingertip.
 """
 
 
 class Shaped(Part):
-    """Base of tool classes that are created from registry entries."""
+    """Base class of the tool classes that are created from entries of a registry."""
 
     kind: str
     """Shape of the tool."""
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the entries of the table, because a class that is created at run time is in no
-        module.
-        """
+        """Pickle the keys and values, because a class that is created at run time has no module."""
         return tool_of, (self.model_dump(exclude_unset=True),)
 
 
 class Tool(Shaped):
-    """A rotating cutter with flutes. Its envelope is a surface of revolution. Concave cutters, such
-    as cup reamers for a convex joint head, are not modelled.
+    """A rotating cutter with flutes, whose envelope is a surface of revolution. Concave cutters,
+    such as cup reamers for a convex joint head, are not modelled.
     """
 
     diameter_mm: float = Field(gt=0.1, le=100, examples=[6.0])
     """Largest diameter."""
     flutes: Annotated[int, Needs("tool.spin_rpm")] = Field(4, ge=1, le=200)
-    """Number of cutting edges around the axis."""
+    """Number of cutting edges around the tool's axis."""
     spin_rpm: float = Field(ge=-500_000, le=500_000, examples=[500.0])
-    """Spin, clockwise as seen from the shank, as for common burs, drills and reamers. A negative
-    spin is counter-clockwise. A tool with a spin of 0 cuts nothing. With a device, the user can
-    feel the bone through this tool.
+    """Rotational speed, clockwise as seen from the shank, as for common burs, drills and reamers. A
+    negative value is counter-clockwise. A tool with the value 0 cuts nothing; with a device, the
+    user can then feel the uncut bone.
     """
     shell_spacing_mm: Annotated[float | None, Needs("tool.spin_rpm")] = Field(
         None, gt=0, le=10, examples=[0.2]
     )
-    """Distance between the cutting elements (small pieces of the cutter's surface).
+    """Distance between the cutting elements, the small pieces into which the cutter's surface is
+    divided.
 
     Default: the distance that gives 6000 cutting elements.
     """
@@ -121,7 +119,7 @@ class Tool(Shaped):
         return getattr(self, "peg_diameter_mm", 0.0), getattr(self, "peg_length_mm", 0.0)
 
     def without_peg(self) -> "Tool":
-        """Return a copy of the cutter without peg, with the default `shell_spacing_mm`."""
+        """Return a copy of the cutter without guide peg and with default `shell_spacing_mm`."""
         pegs: dict[str, Any] = {
             name: 0.0
             for name in ("peg_diameter_mm", "peg_length_mm")
@@ -130,7 +128,7 @@ class Tool(Shaped):
         return self.model_copy(update={**pegs, "shell_spacing_mm": None})
 
     def require_valid(self) -> None:
-        """Check the spin, and check that the web and the peg are thin enough for the diameter."""
+        """Check the spin, and check that web and guide peg are thin enough for the diameter."""
         # At such a low spin, chips would be thicker than the tool at any feed.
         if 0.0 < abs(self.spin_rpm) < 1.0:
             raise InputError(
@@ -158,23 +156,21 @@ class Tool(Shaped):
 
 
 class Probe(Shaped):
-    """A smooth tool that presses and does not cut. Its shape is a ball, the flat end of a cylinder,
-    or any closed surface.
-    """
+    """A smooth tool that presses: a ball, the flat end of a cylinder, or any closed surface."""
 
     @property
     def file_name(self) -> str:
-        """File of the surface; empty for a round probe."""
+        """File of the closed surface; empty for a ball or a cylinder."""
         return str(getattr(self, "file", ""))
 
     @property
     def scale(self) -> float:
-        """Millimetres per unit of the file."""
+        """Millimetres per length unit of the file."""
         return float(getattr(self, "scale_mm", 1.0))
 
     @property
     def size_mm(self) -> float:
-        """Diameter of a round probe [mm]; 20 mm (a fingertip) for any other probe."""
+        """Diameter of a ball or a cylinder [mm]; 20 mm (a fingertip) for any other probe."""
         return float(getattr(self, "diameter_mm", USUAL_PROBE_MM))
 
 
@@ -216,21 +212,22 @@ def tool_of(entries: dict[str, Any]) -> Shaped:
 class Needle(Part):
     """A needle that pierces tissue.
 
-    The friction and the cutting force of the needle are constants of the tissue.
+    The constants of the tissue determine the friction and the cutting force of the needle.
     """
 
     kind: Annotated[str, OneOf(NEEDLES)] = "needle"
     """A needle."""
     diameter_mm: float = Field(1.27, ge=0.2, le=5)
     """Outer diameter. An 18-gauge needle has 1.27 mm. The diameter affects only the width of the
-    crack in the tissue.
+    crack that the needle makes in the tissue.
     """
 
 
 class Blade(Part):
     """A thin plate with a straight cutting edge, which cuts soft tissue.
 
-    The tool's x axis and the tool's axis lie in the plane of the blade. The edge begins at the tip.
+    The tool's x axis and the tool's axis lie in the plane of the blade. The cutting edge begins at
+    the tip.
     """
 
     kind: Literal["blade"] = "blade"
@@ -240,8 +237,8 @@ class Blade(Part):
     thickness_mm: float = Field(0.4, ge=0.05, le=2)
     """Thickness of the blade. It must be less than the width of the blade."""
     edge_deg: float = Field(45.0, ge=5, le=90)
-    """Angle between the cutting edge and the tool's axis. A chisel has 90, and a pointed blade has
-    less.
+    """Angle between the cutting edge and the tool's axis: 90 for a chisel, less for a pointed
+    blade.
     """
 
     def require_valid(self) -> None:
@@ -262,55 +259,56 @@ class Motion(Part):
     """Direction of the tool's axis from tip to shank."""
 
     def require_valid(self) -> None:
-        """Check that the axis has a direction."""
+        """Check that `axis` is not the zero vector."""
         # A vector that consists of rounding errors has no direction.
         if math.hypot(*self.axis) < 1e-9:
             raise InputError("motion.axis", "have a length", "(0, 0, 0)", "use [0, 0, 1]")
 
 
 class PathMotion(Motion):
-    """Motion of the tip along straight lines at a given feed.
+    """Motion of the tool's tip along straight lines at a given speed.
 
     After the last line, the tip stays at the end of the path.
     """
 
     drive: ClassVar[str] = "feed_mm_s"
-    """Key that sets how fast the tool moves."""
+    """Name of the key that determines the speed of the tool."""
     kind: Literal["path"] = "path"
     """Motion along a given path."""
     points_mm: Annotated[tuple[Vector, ...], Strict(False)] = Field(
         min_length=2, examples=[((0.0, 0.0, 0.5), (0.0, 0.0, -2.0))]
     )
-    """Corners of the tip's path, in the frame of the site."""
+    """Corners of the tip's path, in the frame of the scene."""
     feed_mm_s: float = Field(gt=0, le=1000, examples=[1.0])
     """Speed of the tip."""
 
 
 class ThrustMotion(Motion):
-    """Motion of the tool along its axis under a given thrust.
+    """Motion of the tool along its axis under a given axial force (thrust).
 
-    The feed follows from the balance of thrust and cutting force.
+    The speed results from the balance of thrust and cutting force.
     """
 
     drive: ClassVar[str] = "thrust_N"
     kind: Literal["thrust"] = "thrust"
     """Motion under a given thrust."""
     start_mm: Vector = (0.0, 0.0, 0.5)
-    """Start position of the tip, in the frame of the site."""
+    """Start position of the tip, in the frame of the scene."""
     thrust_N: float = Field(gt=0, le=1000, examples=[40.0])
     """Thrust along the tool's axis."""
     mass_kg: float = Field(0.5, gt=0, le=20)
-    """Mass that moves with the tool."""
+    """Mass of the tool and of everything that moves with it."""
     max_feed_mm_s: float = Field(5.0, gt=0, le=200)
-    """Largest feed. The tool moves at this feed in free space."""
+    """Largest speed. The tool has this speed where it touches nothing."""
     depth_mm: float = Field(2.0, gt=0, le=100)
-    """Travel of the tip from the face (z = 0 of the site) at which the feed stops."""
+    """Depth of the tip below the surface (z = 0) at which the tool stops."""
 
 
 class ReplayMotion(Part):
-    """Motion through recorded poses, from a table or a recording.
+    """Motion through recorded poses from a file.
 
-    A table has the pose columns of ``trace.csv``, from time_s and tool_x_mm to tool_qw.
+    A CSV file needs the columns time_s, tool_x_mm, tool_y_mm, tool_z_mm, tool_qx, tool_qy, tool_qz
+    and tool_qw, as in ``trace.csv`` of a run.
     """
 
     kind: Literal["replay"] = "replay"

@@ -1,4 +1,4 @@
-"""Constants that a scene uses, and values that the scene sets instead."""
+"""Material constants that a scene uses, and values that the scene sets instead of constants."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,12 +11,12 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 
 Part = tuple[str, str, tuple[str, ...] | None]
-"""Table, material, and names of the used constants; None for all constants of the material."""
+"""Table, material, and names of constants; None instead of names means all constants."""
 
 
 @dataclass(frozen=True)
 class Used:
-    """Constant that a scene uses.
+    """Material constant that a scene uses.
 
     Attributes
     ----------
@@ -25,13 +25,13 @@ class Used:
     name
         Name of the constant, with its unit.
     cited
-        Value, range, source and confidence, from the scene's file of constants if this file
-        contains the constant.
+        Value, range, source and confidence: from the file in the scene's key `materials` if it
+        contains the constant, else built-in.
     full
         Full name ``TABLE.MATERIAL.NAME``. If a layer has a cutting constant of its own, MATERIAL is
         the layer.
     stated
-        Value that the scene sets instead; None if the scene sets no value.
+        Value that a key of the scene sets instead of the constant; None without such a key.
     """
 
     of: str
@@ -42,11 +42,10 @@ class Used:
 
 
 def used_constants(scene: Scene, layers: Sequence[str], *, varied: bool = False) -> list[Used]:
-    """Return the constants of the tissue, the device and the hand of a scene, by table.
+    """Return the constants of the tissue, the device and the hand of a scene.
 
-    For bone of the reference density, the density exponent has no effect and is left out. If all
-    constants are `varied` together, the exponent is included, because the reference density varies
-    too.
+    If all bone has the reference density, the density exponent has no effect and is left out. With
+    `varied`, the exponent is included, because the reference density is varied too.
     """
     return _used(
         scene.constants,
@@ -63,10 +62,10 @@ def used_of_cutting(
     stated: Mapping[str, float],
     has_reference_density: bool,
 ) -> list[Used]:
-    """Return the cutting constants that a cut through some layers uses.
+    """Return the cutting constants that a cut through the given layers uses.
 
-    `bone` is the material whose constants are used for bone. `stated` contains values that the
-    caller uses instead of constants, keyed by name. If all layers have the reference density, the
+    `bone` is the material whose constants are used for bone. `stated` contains values that replace
+    constants, keyed by the name of the constant. If all layers have the reference density, the
     density exponent has no effect and is left out.
     """
     parts = _cutting(given, layers, bone, has_reference_density=has_reference_density)
@@ -74,9 +73,9 @@ def used_of_cutting(
 
 
 def used_of_device(given: Materials, device: str | None, hand: str) -> list[Used]:
-    """Return the constants of a device and of the hand that holds the device.
+    """Return the constants of a haptic device and of the hand that holds it.
 
-    `device` is None if the caller gives the parameters of the device.
+    If `device` is None, only the constants of the hand are returned.
     """
     return _used(given, _device(device, hand), lambda table, material: {})
 
@@ -102,7 +101,7 @@ def _used(
 
 
 def _tables(scene: Scene, layers: Sequence[str], varied: bool) -> Iterator[Part]:
-    """Yield the tables, materials and constants that a scene uses."""
+    """Yield table, material and names of the constants that a scene uses."""
     anatomy = scene.anatomy
     if isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0:
         # At the reference density the exponent has no effect.
@@ -142,7 +141,7 @@ def _tables(scene: Scene, layers: Sequence[str], varied: bool) -> Iterator[Part]
 def _incised(anatomy: IncisedAnatomy) -> Iterator[Part]:
     """Yield the constants of a tissue that a blade cuts.
 
-    The elastic constants of liver are used only for the drawn block.
+    The elastic constants of liver are used only to draw the deformed tissue.
     """
     is_drawn = anatomy.interval_ms > 0.0
     is_skin = anatomy.material == "skin"
@@ -164,9 +163,9 @@ def _device(device: str | None, hand: str) -> Iterator[Part]:
 def _cutting(
     given: Materials, layers: Sequence[str], bone: str, *, has_reference_density: bool
 ) -> Iterator[Part]:
-    """Yield the cutting constants that layers use, for each material or layer.
+    """Yield table, material and names of the cutting constants that layers use.
 
-    If a layer has a value of its own for a constant, the layer is yielded instead of the material.
+    If a constant has a value for one layer, the name of the layer replaces the material.
     """
     needed = dict[str, dict[str, None]]()
     # At the reference density, every exponent gives the same coefficients.
@@ -182,8 +181,7 @@ def _cutting(
 
 
 def _tooth(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tuple[str, ...]]]:
-    """Yield the elastic constants of layers if there is stress, and the thermal constants if there
-    is heat.
+    """Yield elastic constants if stress is computed, and thermal constants if heat is computed.
 
     The modulus of caries is computed from its density and the modulus of dentin. The bone that
     holds the ligament is rigid. All layers of bone have the thermal constants of the material
@@ -203,9 +201,9 @@ def _tooth(scene: Scene, layers: Sequence[str]) -> Iterator[tuple[str, str, tupl
 
 
 def _has_reference_density(scene: Scene) -> bool:
-    """Return whether all cut material has the reference density of its coefficients.
+    """Return whether all bone has the reference density of the cutting coefficients.
 
-    If so, the density exponent has no effect.
+    The density exponent then has no effect.
     """
     if not isinstance(scene.anatomy, BlockAnatomy):
         return False
@@ -216,7 +214,7 @@ def _has_reference_density(scene: Scene) -> bool:
 
 
 def _stated(scene: Scene, table: str, material: str) -> dict[str, float | None]:
-    """Return the values that a scene sets instead of the constants of a table."""
+    """Return values of scene keys that replace constants of a material, keyed by constant."""
     if table == "cutting":
         stated = scene.cutting.model_dump(exclude={"material"})
         if stated["minimum_chip_um"] == 0.0 and stated["size_exponent"] is None:

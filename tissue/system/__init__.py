@@ -1,1 +1,1 @@
-"""Processes and files: helper and worker processes, signals, locks, offscreen images."""
+"""Processes and files: child processes, signals, locks, offscreen images."""

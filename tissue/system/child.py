@@ -1,7 +1,6 @@
-"""Child Python processes that use this package and end with this process.
+"""Child Python processes that end when this process ends.
 
-`Helper` exchanges messages with a child process. `HangDetector` detects processes that no longer
-work.
+`Helper` exchanges messages with a child process. `HangDetector` detects processes that hang.
 """
 
 import os
@@ -29,41 +28,40 @@ With one thread, the rounding of sums is equal on every computer, and processes 
 cores.
 """
 CHECK_S = 1.0
-"""Time between two checks of a process that is waited for [s]; a check takes about 10 ms."""
+"""Time between two checks for a hanging process [s]; a check takes about 10 ms."""
 IDLE_S = 30.0
-"""Longest idle time of a process that is waited for [s].
+"""Idle time after which a process is treated as hanging [s].
 
-This time is 20 times 1.5 s, the longest delay of a tick on an overloaded computer
+It is 20 times the longest delay of a tick that was measured on an overloaded computer, 1.5 s
 (`docs/performance.md`).
 """
 WORK_S = 0.05
-"""Smallest processor time that is treated as work [s].
+"""Processor time between two checks above which a process is not idle [s].
 
-A process that only checks whether its parent has ended uses less time.
+A process that waits, and checks whether its parent process has ended, uses less time.
 """
 
 
 class HelperLostError(RuntimeError):
-    """Error of a helper process that ended, was stopped or hangs.
+    """Error if a helper process has ended, was stopped or hangs.
 
-    The message is a part of a sentence that the caller completes.
+    The message is part of a sentence, which the caller completes.
     """
 
 
 def child_command(module: str, *arguments: str) -> list[str]:
     """Return the command of a child process that runs ``python -m module arguments``.
 
-    The child process ends with this process. The command is empty if Python cannot be started.
+    The child process ends when this process ends. The list is empty if Python cannot be started.
     """
     strictly = threading.current_thread() is threading.main_thread()
     return python_command(START, str(os.getpid()), str(int(strictly)), module, *arguments)
 
 
 def process_module(name: str) -> str:
-    """Return the module that runs a process of a live run, such as ``window``.
+    """Return the module that a process of a live run executes; a name is, for example, ``window``.
 
-    The modules are entry points of the group ``tissue.processes``, so that a simulation does not
-    import packages of higher layers.
+    The modules are entry points of the group ``tissue.processes``.
 
     Raises
     ------
@@ -91,9 +89,9 @@ def end_with(parent: int, *, strictly: bool) -> None:
         Id of the process that started this process.
     strictly
         True to let the operating system end this process as well, where this is supported (Linux).
-        The system then ends this process even if it was stopped. It also ends this process at the
-        end of the thread that started it. This thread must therefore live as long as the parent
-        process.
+        The system then ends this process even if it was stopped by a signal. The system also ends
+        this process if the thread that started it ends. That thread must therefore live as long as
+        the parent process.
     """
     if strictly:
         kill_with_parent()
@@ -116,18 +114,19 @@ def _await_end(parent: int) -> None:
 
 
 class HangDetector:
-    """Detector for processes that are waited for and no longer work.
+    """Detector for hanging processes.
 
-    The detector reports a process that was idle for too long or has taken longer than a given time.
-    Time is measured by the number of checks. Time in which the checking process was stopped is
-    therefore not included.
+    The detector reports if the processes were idle for `IDLE_S`, or have taken longer than
+    `longest_s`. It counts checks instead of reading a clock, so that time in which this process was
+    stopped is not included.
 
     Parameters
     ----------
     processes
-        Function that returns the ids of the processes. Their child processes are included.
+        Function that returns the ids of the processes to check. Child processes of these processes
+        are also checked.
     longest_s
-        Longest working time [s]; None for no limit.
+        Longest time that the processes may take [s]; None for no limit.
     """
 
     def __init__(
@@ -144,9 +143,9 @@ class HangDetector:
         self._work_s = -WORK_S
 
     def check(self) -> str | None:
-        """Return the reason to give up the processes, or None; call this method every `CHECK_S`.
+        """Return the reason why the processes hang, or None; call this method every `CHECK_S`.
 
-        The reason is a part of a sentence.
+        The reason is part of a sentence.
         """
         self._waited_s += CHECK_S
         work_s, stopped = _work_of(self._processes())
@@ -164,7 +163,7 @@ class HangDetector:
 def await_ready(
     child: "subprocess.Popen[str]", *, longest_s: float, closes_s: float
 ) -> tuple[str, str | None]:
-    """Wait until a process prints a line that starts with the word ready.
+    """Wait until a process prints a line that starts with ``ready``.
 
     Parameters
     ----------
@@ -173,12 +172,12 @@ def await_ready(
     longest_s
         Longest waiting time [s].
     closes_s
-        Longest time that a process may take to end after it has printed another line [s].
+        Longest time that the process may take to end after it has printed another first line [s].
 
     Returns
     -------
-    The text after the word ``ready``, and None. If the process is not ready, an empty text and the
-    reason, which is a part of a sentence. The reason is empty if the process has ended.
+    The text after ``ready``, and None. If the process does not become ready: an empty text, and the
+    reason as part of a sentence. The reason is an empty text if the process has ended by itself.
     """
     stdout = child.stdout
     first = SimpleQueue[str]()
@@ -202,7 +201,7 @@ def await_ready(
 
 
 def _work_of(processes: Iterable[int]) -> tuple[float, bool]:
-    """Return the processor time [s] of processes and their children, and whether one is stopped."""
+    """Return the processor time [s] of processes and their children, and True if one is stopped."""
     import psutil
 
     work_s = 0.0
@@ -220,21 +219,20 @@ def _work_of(processes: Iterable[int]) -> tuple[float, bool]:
 
 
 NICE = 5
-"""Niceness of a process that draws or publishes while ticks run, in steps of the Linux scheduler.
+"""Niceness (Linux) of a process that draws or publishes a run while the ticks are computed.
 
-The default is 0, and 19 is the lowest priority. Each step divides the share of a core by about
-1.25. At 5, the process gets a third of the share of a process at 0 if both need the same core
-(weights 335 and 1024 in ``sched_prio_to_weight`` of Linux). The value is a choice; it does not come
-from a measurement.
+If a process with niceness 5 and a process with niceness 0 need the same core, the first gets a
+third of the time of the second. Their weights are 335 and 1024 in the table
+``sched_prio_to_weight`` of Linux. The value is not measured but chosen.
 """
 
 
 def own_process(*, beside_ticks: bool) -> TextIO:
-    """Prepare this process for drawing or publishing, and return its standard output.
+    """Prepare this process for drawing or publishing a run; return its standard output.
 
-    All other output goes to standard error. The parent process decides when this process ends, so
-    Ctrl-C is ignored. With `beside_ticks`, the process has a lower priority and draws with one
-    thread. OpenGL in software would otherwise use all cores.
+    Other output of the process goes to standard error. The parent process decides when this process
+    ends, so Ctrl-C is ignored. With `beside_ticks`, the process gets a lower priority and draws
+    with one thread, because software OpenGL would otherwise use all cores.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if beside_ticks:
@@ -250,16 +248,16 @@ def own_process(*, beside_ticks: bool) -> TextIO:
 
 
 def _main() -> None:
-    """Run the module that the command line names, until the parent process ends."""
+    """Run the module that is named on the command line, until the parent process ends."""
     parent, strictly, module = (sys.argv.pop(1) for _ in range(3))
     end_with(int(parent), strictly=strictly == "1")
     runpy.run_module(module, run_name="__main__")
 
 
 ENDS_S = 10.0
-"""Longest time for the end of a helper after its input was closed [s].
+"""Longest time that a helper process may take to end after its input was closed [s].
 
-A helper usually ends within milliseconds. A helper that does not end in this time is killed.
+After this time, the process is killed. It usually ends within milliseconds.
 """
 Job = Callable[[], None]
 
@@ -268,21 +266,22 @@ class Helper:
     """Child Python process that receives pickled messages and answers them.
 
     Messages are written to the helper's standard input, and answers are read from the helper's
-    standard output. The helper ends with this process, and uses one thread for linear algebra. A
-    separate thread writes the message and reads the answer. Sending therefore never blocks, and the
-    calling thread does not release the interpreter lock for the transfer of data.
+    standard output. The helper ends when this process ends, and uses one thread for linear algebra.
+    In this process, a separate thread writes messages and reads answers, so that `send` never
+    blocks.
 
     Parameters
     ----------
     module
         Module that the helper runs.
     does
-        Description of the helper's task for error messages: "the process that DOES ...".
+        Task of the helper, as a verb phrase for error messages: ``solves the stress`` in "the
+        process that solves the stress".
 
     Attributes
     ----------
     priority
-        Priority of the helper relative to the ticks.
+        Object that sets the priority of the helper relative to the ticks of a run.
     """
 
     def __init__(self, module: str, *, does: str) -> None:
@@ -315,7 +314,7 @@ class Helper:
         return self._process.pid
 
     def send(self, message: object) -> None:
-        """Send a message without waiting until it is received."""
+        """Send a message and return at once."""
         # To send an array of 80 MB takes 0.24 s; with the default protocol it takes 0.32 s.
         data = pickle.dumps(message, protocol=5)
         stream = self._process.stdin
@@ -329,12 +328,12 @@ class Helper:
         self._jobs.put(write)
 
     def receive(self, *, longest_s: float) -> Any:
-        """Wait for the next answer; raise an error that occurred in the helper.
+        """Wait for the next answer; if an error was raised in the helper, raise it here.
 
         Raises
         ------
         HelperLostError
-            If the helper has ended, is idle for too long, or works for more than ``longest_s``. The
+            If the helper has ended, is idle for too long, or takes longer than `longest_s`. The
             helper is then killed.
         """
         stream = self._process.stdout
@@ -380,7 +379,7 @@ class Helper:
         return answer
 
     def end(self) -> None:
-        """Close the standard input of the helper. The helper then ends."""
+        """End the helper by closing its standard input."""
         assert self._process.stdin is not None
         with suppress(OSError, ValueError):
             self._process.stdin.close()
@@ -390,7 +389,7 @@ class Helper:
 
 
 def _how_ended(code: int) -> str:
-    """Describe the end of a process from its exit code."""
+    """Return a text that describes how a process ended, from its exit code."""
     if code >= 0:
         return f"ended with exit code {code}"
     # If a signal ended a process, its exit code is the negative number of the signal.
@@ -399,7 +398,7 @@ def _how_ended(code: int) -> str:
 
 
 class _Ended(str):
-    """Value that replaces a missing answer."""
+    """Value in place of an answer if the helper has ended."""
 
 
 def _work(jobs: "SimpleQueue[Job | None]") -> None:

@@ -1,4 +1,4 @@
-"""Self-contained HTML files with embedded pictures and one style for light and dark mode."""
+"""Self-contained HTML files with embedded pictures, for light and dark mode."""
 
 from base64 import b64encode
 from collections.abc import Callable, Iterable, Sequence
@@ -37,20 +37,21 @@ def html_page(
 ) -> str:
     """Return a self-contained HTML file.
 
-    The page has a content security policy that lists its own style and scripts by their hashes. A
-    browser therefore runs no other script, even if the body contains a text with markup from a
-    user. It also loads nothing from the network.
+    The page has a content security policy with the hashes of its style and scripts. A browser
+    therefore runs no other script, even if a text in the body contains one, and loads nothing from
+    the network.
 
     Parameters
     ----------
     title
         Plain text; this function escapes it.
     body
-        HTML. The caller must escape texts in it.
+        HTML of the body. The caller must escape the texts in it.
     style
         CSS in addition to the style that all pages share.
     scripts, modules
-        Classic scripts and module scripts, in the order in which they run, at the end of the body.
+        Classic scripts and module scripts, in the order in which they run. They are placed at the
+        end of the body.
     """
     style = _plain_lines(STYLE + style)
     programs = [
@@ -74,28 +75,28 @@ def html_page(
 
 
 def script_element(text: str, *, module: bool = False) -> str:
-    """Return a script element whose text has the hash that `html_page` allows."""
+    """Return a script element that the content security policy of `html_page` allows."""
     kind = ' type="module"' if module else ""
     return f"<script{kind}>{_plain_lines(text)}</script>"
 
 
 def _plain_lines(text: str) -> str:
-    """Return a text with only line feeds, as a browser normalises it before it computes a hash."""
+    """Replace line ends by line feeds, as a browser does before it computes a hash."""
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _hash(text: str) -> str:
-    """Return the source expression with which a content security policy allows an inline text."""
+    """Return the hash expression of a content security policy for an inline script or style."""
     return f"'sha256-{b64encode(sha256(text.encode()).digest()).decode('ascii')}'"
 
 
 def html_picture(title: str, data: bytes, kind: str = "image/png") -> str:
-    """Return an image element with the embedded picture of a media type."""
+    """Return an image element with an embedded picture; `kind` is its media type."""
     return (
         f'<img alt="{escape(title)}" src="data:{kind};base64,{b64encode(data).decode("ascii")}">\n'
     )
 
 
 def html_list(lines: Iterable[str], text: Callable[[str], str] = escape) -> str:
-    """Return a list of plain texts; `text` converts each of them to HTML."""
+    """Return an HTML list of texts; `text` is the function that converts each text to HTML."""
     return "<ul>" + "".join(f"<li>{text(line)}</li>" for line in lines) + "</ul>"

@@ -1,7 +1,6 @@
 """Offscreen 3D drawing in a separate process.
 
-A separate process is needed because VTK ends the process that uses it if a graphics library is
-missing.
+If a graphics library is missing, VTK ends the process. A separate process keeps this process alive.
 """
 
 import ctypes
@@ -24,17 +23,17 @@ REMEDY = (
     "install libegl1 and libgl1-mesa-dri (Debian, Ubuntu) or mesa-libEGL and mesa-dri-drivers "
     "(Fedora)"
 )
-"""Packages that provide OpenGL in software on a Linux computer without graphics drivers."""
+"""Advice in messages: packages with software OpenGL for Linux without graphics drivers."""
 LONGEST_S = 120.0
-"""Longest drawing time of a picture [s]; pictures of the largest scenes take some seconds."""
+"""Longest time for drawing a picture [s]; pictures of the largest scenes take some seconds."""
 DISPLAY_S = 30.0
 ANSWERS_S = 5.0
-"""Longest wait for one answer of a display [s].
+"""Longest wait for the answer of a display in one attempt [s].
 
 Attempts are repeated for at most `DISPLAY_S`.
 
-A display that is still starting refuses connections. A stopped display accepts connections and
-never answers.
+A display that is starting refuses connections. A display server that was stopped accepts
+connections but never answers.
 """
 
 
@@ -45,7 +44,7 @@ def draw_apart(
     longest_s: float = LONGEST_S,
     drawn: Callable[[float], None] | None = None,
 ) -> str | None:
-    """Run ``python -m module arguments`` in a process that can draw.
+    """Run ``python -m module arguments`` in a separate process that can draw 3D images.
 
     Parameters
     ----------
@@ -53,17 +52,17 @@ def draw_apart(
         Module to run and its arguments.
     prepare
         Function that returns the data for the standard input of the process. The function is called
-        once, while the process starts. The data are not passed in a file, because a file with a
-        patient's anatomy could stay on disk if the two processes were killed.
+        once, while the process starts. The data are not passed in a file, because a killed process
+        could leave a file with a patient's anatomy on disk.
     longest_s
         Longest drawing time [s].
     drawn
-        Function that is called with the progress, 0 to 1. The process prints the progress, one
-        value per line.
+        Function that is called with the progress, 0 to 1. The drawing process must print its
+        progress, one value per line.
 
     Returns
     -------
-    None on success. Otherwise a part of a sentence with the reason and the remedy.
+    None on success. Otherwise part of a sentence with the reason of the failure and the remedy.
 
     Raises
     ------
@@ -115,7 +114,7 @@ def draw_apart(
 
 
 def _last_share(printed: Path) -> float:
-    """Return the progress in the last complete line that a process printed, 0 to 1."""
+    """Return the progress, 0 to 1, from the last complete line that a process has printed."""
     for line in reversed(printed.read_text("utf-8", "replace").split("\n")[:-1]):
         with suppress(ValueError):
             return min(max(float(line), 0.0), 1.0)
@@ -129,10 +128,10 @@ def _awaited(
     drawn: Callable[[float], None] | None,
     printed: Path,
 ) -> tuple[str, str | None]:
-    """Wait for a drawing process; return its output, and the reason if it was killed.
+    """Wait for a drawing process; return its error output, and the reason if it was killed.
 
-    The reason is None if the process ended by itself. ``drawn`` is called with the progress during
-    the wait.
+    The reason is None if the process ended by itself. The function `drawn` is called with the
+    progress during the wait.
     """
     detector = HangDetector(lambda: [process.pid], longest_s=longest_s)
     # A thread sends the data, because `communicate` drops the rest of its input after a timeout.
@@ -152,7 +151,7 @@ def _awaited(
 
 
 def _send(stream: IO[bytes] | None, sent: bytes) -> None:
-    """Write to the standard input of a process that may end before it has read everything."""
+    """Write data to the standard input of a process; ignore the error if the process has ended."""
     assert stream is not None
     with suppress(OSError, ValueError), stream:
         stream.write(sent)
@@ -161,7 +160,8 @@ def _send(stream: IO[bytes] | None, sent: bytes) -> None:
 def display_problem() -> str | None:
     """Return the reason why no window can be opened, or None.
 
-    The check runs before VTK opens a window, because VTK would end the process.
+    Call this function before VTK opens a window, because VTK ends the process if it cannot open
+    one.
     """
     if not sys.platform.startswith("linux"):
         return None
@@ -201,9 +201,9 @@ def await_display() -> str | None:
 
 
 def _answers(library: ctypes.CDLL, name: str) -> bool:
-    """Return True if a display can be opened.
+    """Return True if the display with a name can be opened.
 
-    A display that accepts the connection and never answers blocks the call.
+    The call blocks if the display accepts the connection and never answers.
     """
     library.XOpenDisplay.restype = ctypes.c_void_p
     library.XCloseDisplay.argtypes = [ctypes.c_void_p]
@@ -219,11 +219,9 @@ def _answers(library: ctypes.CDLL, name: str) -> bool:
 
 
 def drawing_environments() -> Iterator[dict[str, str]]:
-    """Yield changes of environment variables for a drawing process.
+    """Yield sets of environment variables to try for a drawing process, in this order.
 
-    Each set of changes is a fallback for the previous set.
-
-    The variables select the class of the VTK window.
+    The variables select the class of VTK's render window.
     """
     key = "VTK_DEFAULT_OPENGL_WINDOW"
     # Other operating systems draw without a display. If the user has chosen a class, only this
@@ -252,7 +250,7 @@ def _library(name: str) -> ctypes.CDLL | None:
 def quiet_without_display() -> Iterator[None]:
     """Restrict VTK's output to errors if no display is set.
 
-    VTK warns about a missing display, and then draws without one.
+    Otherwise, VTK would warn about the missing display, although it can draw without one.
     """
     if os.environ.get("DISPLAY"):
         yield

@@ -1,6 +1,6 @@
-"""Output folders in which a command writes its own files without changing files of the user.
+"""Output folders in which a command never replaces or removes files of the user.
 
-A lock prevents a second writer in an output folder or file.
+A lock keeps two processes from writing to the same output folder or file.
 """
 
 import errno
@@ -26,67 +26,68 @@ else:
     import fcntl
 
 MARKER = ".tissue.json"
-"""Name of the marker file. It lists the files that tissue wrote into a folder."""
+"""Name of the marker file, which lists the files that tissue wrote into a folder."""
 FORMAT = "tissue output folder"
 VERSION = 1
-"""Version of the marker file; the marker also contains the name of its format, `FORMAT`."""
+"""Version of the format of the marker file."""
 LONGEST_MARKER = 1 << 24
-"""Largest marker that is read [bytes]; a marker with 40,000 names has 2 MB."""
+"""Largest marker file that is read [bytes]; with 40,000 names, the file has 2 MB."""
 
 LOCK = ".lock"
 """Name of the lock file in a folder, and suffix of the hidden lock file of an output file."""
 FAR = 1 << 30
-"""Position of the locked byte on Windows.
+"""Position of the locked byte in a lock file on Windows.
 
-The byte lies far behind the process id in the file, because a locked byte cannot be read.
+On Windows, a locked byte cannot be read. The byte is therefore far behind the process id in the
+file.
 """
 LONGEST_LOCK = 32
 """Longest content of a lock file [characters]: a process id and a line end."""
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)
-"""Flag with which the operating system refuses to open a symbolic link."""
+"""Flag of ``os.open`` that refuses symbolic links."""
 SAME_S = 5.0
-"""Largest difference between two readings of the start time of the same process [s].
+"""Tolerance of the start time with which a process is recognised [s].
 
-The system clock may be changed between the readings. Process ids are assigned in order. Another
-process therefore rarely gets the same id within this time.
+The tolerance allows for a change of the system clock. Process ids are assigned in order, so another
+process rarely gets the same id within this time.
 """
 HELD = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
-"""Error codes that mean that another process holds a lock.
+"""Error codes of a failed lock if another process holds the lock.
 
 Other error codes mean that the file system does not support locks.
 """
 _claimed: set[Path] = set()
-"""Folders in whose marker this process has listed a file."""
+"""Folders in which this process has listed a file in the marker file."""
 Files = dict[str, set[str]]
-"""Names of files relative to their folder, by kind of output."""
+"""Names of files, relative to their folder, keyed by kind of output."""
 
 
 class OwnedFolder:
     """Output folder that a command locks and fills with files.
 
-    The marker lists each file before it is written. Only files that the marker lists are replaced
-    or removed. While the folder is locked, `whole_file` claims each file in it, so that no writer
-    can replace a file of the user.
+    Each file is listed in the marker file before it is written. Only listed files are replaced or
+    removed. While the folder is locked, `whole_file` calls `claim` for each file that it writes,
+    which raises an error for a file of the user.
 
     Parameters
     ----------
     path
         Path of the folder.
     kind
-        Kind of output, such as ``run``. The kind is written to the marker and used in messages.
+        Kind of output, such as ``run``. It is written to the marker file and used in messages.
     names
-        Names of the files that may be written, relative to the folder. ``*`` and ``[0-9]`` have the
-        meaning of `Path.glob`.
+        Names of the files that may be written, relative to the folder, with wildcards of
+        `Path.glob`.
     overwrite
         True to remove the files of an earlier output of this kind.
     shared
-        Names of files that every output of this kind replaces, even without ``overwrite``.
+        Names of files that are replaced even without `overwrite`.
 
     Raises
     ------
     InputError
-        If the folder holds another kind of output, or other files with these names, or if another
-        process writes to it.
+        If the folder holds another kind of output, if it holds files with these names that tissue
+        did not write, or if another process writes to it.
     """
 
     def __init__(
@@ -115,7 +116,7 @@ class OwnedFolder:
         self._lock = OutputLock(path, folder=True)
 
     def begin(self) -> None:
-        """Remove the files of an earlier output, and mark the folder as an output of tissue."""
+        """Remove the files of an earlier output, and write the marker file."""
         replaced = self._check()  # another process may have written files since the first check
         self._files = listed_files(self._path)
         listed = self._files.setdefault(self._kind, set())
@@ -130,18 +131,18 @@ class OwnedFolder:
         OWNERS.add(self)
 
     def depth(self, path: Path) -> int:
-        """Return the number of parts of the folder's path if ``path`` is in the folder, else 0."""
+        """Return the number of parts of the folder's path if `path` is in the folder, else 0."""
         return (
             len(self._place.parts) if Path(os.path.abspath(path)).is_relative_to(self._place) else 0
         )
 
     def claim(self, path: Path) -> None:
-        """List a file of this folder in the marker before it is written.
+        """Add a file to the list in the marker file; call this method before the file is written.
 
         Raises
         ------
         InputError
-            If the file exists and the marker does not list it.
+            If the file exists and is not listed in the marker file.
         """
         name = Path(os.path.abspath(path)).relative_to(self._place).as_posix()
         if PurePosixPath(name).name == MARKER:
@@ -157,7 +158,7 @@ class OwnedFolder:
             _claimed.add(self._place)
 
     def release(self) -> None:
-        """Release the folder; a second call has no effect."""
+        """Release the lock on the folder; a second call has no effect."""
         if self in OWNERS and not any(self._files.values()):
             # nothing was written: restore the previous state of the folder
             (self._path / MARKER).unlink(missing_ok=True)
@@ -182,7 +183,7 @@ class OwnedFolder:
 
 
 def anything_claimed() -> bool:
-    """Return True if this process has begun to write a file into an output folder."""
+    """Return True if this process has listed a file in any output folder."""
     return bool(_claimed)
 
 
@@ -194,19 +195,19 @@ def require_folder(
     overwrite: bool = False,
     shared: Iterable[str] = (),
 ) -> set[str]:
-    """Check that a folder can be used for an output, without changing the folder.
+    """Check that an output can be written to a folder, without changing the folder.
 
     For the parameters, see `OwnedFolder`.
 
     Returns
     -------
-    Files of an earlier output of this kind. The new output replaces these files.
+    Names of the files of an earlier output of this kind, which the new output replaces.
 
     Raises
     ------
     InputError
-        If the folder cannot be written, or holds another kind of output or other files with these
-        names.
+        If the folder cannot be written, if it holds another kind of output, or if it holds files
+        with these names that tissue did not write.
     """
     require_place(path, folder=True)
     files = listed_files(path)
@@ -226,12 +227,12 @@ def require_folder(
 
 
 def require_listed(path: Path, kind: str, name: str) -> None:
-    """Check that a file may be replaced in a folder that another process may hold.
+    """Check that a file may be replaced, also in a folder that another process has locked.
 
     Raises
     ------
     InputError
-        If the folder has a marker, and the file exists but the marker does not list it.
+        If the folder has a marker file, and the file exists but is not listed.
     """
     files = listed_files(path)
     is_listed = name in files.get(kind, {name})
@@ -240,12 +241,12 @@ def require_listed(path: Path, kind: str, name: str) -> None:
 
 
 def listed_files(path: Path) -> Files:
-    """Read the names of the files that tissue wrote, by kind of output; empty without a marker.
+    """Read the names of the files that tissue wrote into a folder, keyed by kind of output.
 
     Raises
     ------
     InputError
-        If the marker was not written by tissue.
+        If the marker file was not written by tissue.
     """
     marker = path / MARKER
     if not os.path.lexists(marker):
@@ -276,7 +277,7 @@ def listed_files(path: Path) -> Files:
 
 
 def _is_inside(name: object) -> bool:
-    """Return True if a name in the marker is inside the folder."""
+    """Return True if a listed name is a path inside the folder."""
     if not isinstance(name, str) or not name or "\0" in name or "\\" in name:
         return False
     pure = PurePosixPath(name)
@@ -284,7 +285,7 @@ def _is_inside(name: object) -> bool:
 
 
 def _present(path: Path, names: Iterable[str]) -> set[str]:
-    """Return the entries of a folder that match any of these names, including broken links."""
+    """Return the entries of a folder that match any of the names, including broken links."""
     found = set()
     for name in names:
         if "*" in name or "[0-9]" in name:
@@ -297,7 +298,7 @@ def _present(path: Path, names: Iterable[str]) -> set[str]:
 
 
 def _has_foreign_parent(path: Path, name: str) -> bool:
-    """Return True if a parent folder in a file name exists, but is not a plain folder."""
+    """Return True if a folder in a relative file name exists but is a file or a symbolic link."""
     parents = [
         path.joinpath(*PurePosixPath(name).parts[:count])
         for count in range(1, len(PurePosixPath(name).parts))
@@ -315,7 +316,7 @@ def _is_foreign(path: Path, name: str) -> bool:
 
 
 def _foreign(path: Path, name: str, files: Mapping[str, set[str]]) -> InputError:
-    """Return the error for a folder with a file that is not part of this kind of output."""
+    """Return the error for a folder with a file that does not belong to this kind of output."""
     owner = ""
     for kind, names in files.items():
         if name in names and not _is_foreign(path, name):
@@ -325,15 +326,15 @@ def _foreign(path: Path, name: str, files: Mapping[str, set[str]]) -> InputError
 
 
 class OutputLock:
-    """Exclusive lock on an output folder or file, until `release` or the end of this process.
+    """Exclusive lock on an output folder or file; it ends with `release` or with this process.
 
     Parameters
     ----------
     out
         Output folder or file.
     folder
-        True for a folder. A missing folder is created. If the created folder stays empty, it is
-        removed together with the lock.
+        True if `out` is a folder. A missing folder is created, and removed on release if it is
+        still empty.
 
     Raises
     ------
@@ -359,7 +360,7 @@ class OutputLock:
 
 
 def _taken(path: Path, out: Path) -> TextIO:
-    """Return the locked lock file, with the id of this process in it."""
+    """Lock the lock file, write the id of this process into it, and return it."""
     while True:
         file = _opened(path)
         if not _lock(file):
@@ -383,7 +384,7 @@ def _taken(path: Path, out: Path) -> TextIO:
 
 
 def _opened(path: Path) -> TextIO:
-    """Open the lock file; raise an error for a file of the user with the same name."""
+    """Open the lock file; raise an error if a file of the user has its name."""
     plain = not path.is_symlink() and (path.is_file() or not path.exists())
     if plain:
         file = os.fdopen(
@@ -416,7 +417,7 @@ def _is_lock(file: TextIO) -> bool:
 
 
 def _lock(file: TextIO) -> bool:
-    """Lock an open file; return True on success, or if the file system has no locks."""
+    """Lock an open file; return True on success, or if the file system does not support locks."""
     try:
         if sys.platform == "win32":
             os.lseek(file.fileno(), FAR, os.SEEK_SET)
@@ -456,7 +457,7 @@ def identity() -> dict[str, int | float | str]:
 
 
 def is_alive(process: object) -> bool:
-    """Return True if the process of an `identity` still runs.
+    """Return True if a process, described by the result of `identity`, still runs.
 
     A process on another computer cannot be checked; it is treated as running.
     """

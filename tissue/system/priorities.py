@@ -1,6 +1,6 @@
-"""Priority of the thread that runs the ticks, and priorities of background processes.
+"""Priorities of the thread that computes the ticks of a run, and of background processes.
 
-A priority is raised if the operating system permits this, and restored afterwards.
+Priorities are raised during a run if the operating system permits this, and restored afterwards.
 """
 
 import os
@@ -12,40 +12,38 @@ from functools import cache
 from kernels.cores import allowed_cores, cores_without, current_core
 
 REALTIME = 20
-"""Real-time priority on Linux, in the range 1 to 99; kernel threads for devices have 50."""
+"""Real-time priority of the ticks on Linux, 1 to 99; kernel threads for interrupts have 50."""
 NICE = -10
-"""Niceness that is requested if the system grants no real-time priority.
+"""Niceness of the ticks on Linux if the system does not permit a real-time priority.
 
-The lowest possible niceness is -20.
-
-With a niceness of -10, Linux gives the thread 9.3 times the processor time of an ordinary thread.
-In the table of the scheduler, their weights are 9548 and 1024.
+With a niceness of -10, the thread gets 9.3 times the processor time of a thread with niceness 0.
+Their weights in the table of the Linux scheduler are 9548 and 1024.
 """
 USER_INTERACTIVE = 0x21
 DEFAULT = 0x15
-"""Default quality-of-service class of macOS, from its header sys/qos.h.
+"""Default quality-of-service class of a thread on macOS, from the header sys/qos.h.
 
-`USER_INTERACTIVE` is the class of the thread of the ticks.
+The thread that computes the ticks gets the class `USER_INTERACTIVE`.
 """
 HIGH = 0x80
-"""HIGH_PRIORITY_CLASS of Windows, from its header winbase.h."""
+"""Value of HIGH_PRIORITY_CLASS on Windows, from the header winbase.h."""
 USUAL = "ordinary priority"
 
 
 class TickPriority:
-    """Priority of the calling thread, raised while ticks run and restored afterwards.
+    """Priority of the calling thread, raised while ticks are computed and restored afterwards.
 
     On Linux, the thread gets a real-time priority (SCHED_FIFO), which needs the permission
-    ``rtprio`` in /etc/security/limits.conf. Without this permission it gets a niceness below 0.
-    These settings apply only to the thread. Threads and processes that it starts do not inherit the
-    real-time priority. On Windows, the process gets a high priority. On macOS, the thread gets the
-    quality-of-service class of user interaction. If the system refuses a setting, this is noted in
-    `granted` and the run continues.
+    ``rtprio`` in /etc/security/limits.conf. Without this permission, the thread gets a niceness
+    below 0. Threads and processes that the thread starts do not inherit the real-time priority. On
+    Windows, the whole process gets a high priority. On macOS, the thread gets the
+    quality-of-service class of user interaction. If the system refuses a setting, `granted` reports
+    this and the run continues.
 
     Attributes
     ----------
     granted
-        Description of the current priority.
+        Description of the priority that the system has granted.
     """
 
     def __init__(self) -> None:
@@ -66,7 +64,7 @@ class TickPriority:
             self._begin_linux()
 
     def end(self) -> None:
-        """Restore the priority; callable from any thread, even after the thread has ended."""
+        """Restore the priority; callable from any thread, even after the raised one has ended."""
         before = self._before
         self._before = None
         if before is None:
@@ -136,7 +134,8 @@ class TickPriority:
 def _schedule(thread: int, policy: int, priority: int) -> None:
     """Restore the scheduling policy of a thread.
 
-    If there is no permission to clear SCHED_RESET_ON_FORK, the thread keeps this harmless flag.
+    Without the permission to clear the flag SCHED_RESET_ON_FORK, the thread keeps this flag, which
+    is harmless.
     """
     try:
         os.sched_setscheduler(thread, policy, os.sched_param(priority))
@@ -166,13 +165,13 @@ def _macos_class(value: int) -> None:
 LOWEST = 19
 """Niceness of the lowest ordinary priority.
 
-The process then gets little processor time while other processes need the processor.
+A process with this niceness gets little processor time while other processes need the processor.
 """
 
 
 @cache
 def may_return_from_idle() -> bool:
-    """Return True if this system lets a thread return from idle to normal priority.
+    """Return True if this system lets a thread return from idle priority to normal priority.
 
     The function tests this with a temporary thread.
     """
@@ -193,20 +192,21 @@ def may_return_from_idle() -> bool:
 
 
 class BackgroundPriority:
-    """Priority of a background process relative to the ticks.
+    """Priority of a background process relative to the thread that computes the ticks.
 
-    While the ticks run, the main thread of the process has idle priority and does not use the core
-    of the ticks. When the ticks wait for the process, its main thread gets normal priority. If the
-    system does not let a thread leave the idle priority, the main thread always has the lowest
-    ordinary priority instead. At idle priority, it would hardly run on a busy computer, even while
-    the ticks wait for it. Settings that the system refuses or does not have are skipped.
+    After `step_back`, the main thread of the process has idle priority and does not use the core of
+    the ticks. After `hurry`, it has normal priority, because the ticks wait for a result of the
+    process. If the system does not let a thread leave the idle priority, the main thread always has
+    the lowest ordinary priority instead. Settings that the system refuses or does not have are
+    skipped.
 
     Parameters
     ----------
     number
         Id of the process.
     returns
-        True if a thread may leave the idle priority. By default, `may_return_from_idle` tests it.
+        True if the system lets a thread leave the idle priority. The default is the result of
+        `may_return_from_idle`.
     """
 
     def __init__(self, number: int, *, returns: bool | None = None) -> None:
@@ -218,7 +218,7 @@ class BackgroundPriority:
 
     @property
     def described(self) -> str:
-        """Description of the requested priority and cores."""
+        """Description of the priority and the cores of the process."""
         priority = (
             "idle priority"
             if self._idles
@@ -229,7 +229,7 @@ class BackgroundPriority:
         return priority + (", off the ticks' core" if len(self._allowed) > 1 else "")
 
     def step_back(self) -> None:
-        """Lower the priority of the process, and keep it off the core of the calling thread."""
+        """Lower the priority of the process, and exclude it from the core of the calling thread."""
         with suppress(OSError):
             if self._idles:
                 os.sched_setscheduler(self._number, os.SCHED_IDLE, os.sched_param(0))
@@ -246,7 +246,7 @@ class BackgroundPriority:
         self._move(self._allowed)
 
     def _move(self, cores: set[int]) -> None:
-        """Restrict the process to some cores, unless it is already restricted to them."""
+        """Restrict the process to the given cores, unless it is already restricted to them."""
         if cores != self._cores:
             self._cores = cores
             with suppress(OSError):

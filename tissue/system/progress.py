@@ -11,22 +11,21 @@ from meshes.base.progress import Progress, silent
 from meshes.base.text_tables import visible
 
 Bar = Progress | bool | None
-"""Type of the argument ``progress``: a function, True for a bar, False for no bar, or None.
+"""Type of an argument ``progress``: a function, True for a bar, False for no bar, or None.
 
 With the default None, a bar is shown only in a notebook.
 """
 EVERY_S = 0.2
-"""Time between two updates of a notebook's bar [s]; an update is a message to the browser."""
+"""Time between two updates of the progress bar in a notebook [s]."""
 TRUSTED = 0.03
-"""Completed share of the work from which the remaining time is shown.
+"""Completed share of the work above which the remaining time is shown.
 
-Before this share is completed, an estimate would be wrong, because the first steps also load the
-code.
+Earlier estimates would be wrong, because the first steps include the loading of code.
 """
 SHORT_S = 10.0
-"""Smallest remaining time that is shown [s]."""
+"""Remaining time below which it is not shown [s]."""
 QUIET_S = 30.0
-"""Time between two lines of progress without a terminal [s]; a long time keeps a log short."""
+"""Time between two printed lines if the output is not a terminal [s]; this keeps logs short."""
 
 
 def in_notebook() -> bool:
@@ -38,7 +37,7 @@ def in_notebook() -> bool:
 
 @contextmanager
 def reporting(wanted: Bar) -> Iterator[Progress]:
-    """Yield the function to which a call reports progress: given function, bar or no-op."""
+    """Yield a function to report progress to: the given one, one that updates a bar, or a no-op."""
     if callable(wanted):
         yield wanted
     elif in_notebook() and wanted is not False:
@@ -53,16 +52,16 @@ def reporting(wanted: Bar) -> Iterator[Progress]:
 
 @contextmanager
 def progress(*, quiet_s: float = QUIET_S) -> Iterator[Progress]:
-    """Show the progress of a command: a bar in a terminal, otherwise lines at intervals.
+    """Show the progress of a command: as a bar in a terminal, otherwise as printed lines.
 
     Parameters
     ----------
     quiet_s
-        Time between two lines without a terminal [s].
+        Time between two printed lines if the output is not a terminal [s].
 
     Yields
     ------
-    Function to call with the name of the present work and its completed share.
+    Function to call with the name of the current work and the completed share of the work, 0 to 1.
     """
     printed_s = perf_counter()
     remaining = Remaining()
@@ -86,10 +85,11 @@ class Remaining:
         self._last = 1.0
 
     def text(self, share: float) -> str:
-        """Return the remaining time as text, from the completed share; empty if it is not known.
+        """Return the remaining time as text; empty if it cannot be estimated yet.
 
-        The pace is measured from the first report of a stage, because a continued command does not
-        begin at zero. A new stage begins when the completed share decreases.
+        `share` is the completed share of the work, 0 to 1. The pace is measured from the first
+        reported share, which is above zero if an interrupted command continues. If the share
+        decreases, a new stage has begun and the measurement restarts.
         """
         now_s = perf_counter()
         if share < self._last:
@@ -114,7 +114,7 @@ def duration_text(seconds: float) -> str:
 
 @contextmanager
 def _terminal_bar(otherwise: Progress) -> Iterator[Progress]:
-    """Yield the report function of a temporary bar; without a terminal, yield ``otherwise``."""
+    """Yield a function that updates a temporary bar; without a terminal, yield `otherwise`."""
     from rich import progress as bars
     from rich.console import Console
 
@@ -131,7 +131,7 @@ def _terminal_bar(otherwise: Progress) -> Iterator[Progress]:
 
 @contextmanager
 def _notebook_bar() -> Iterator[Progress]:
-    """Yield the report function of a temporary HTML bar in the output of a cell.
+    """Yield a function that updates a temporary HTML bar in the output of a notebook cell.
 
     The bar does not need Jupyter widgets.
     """

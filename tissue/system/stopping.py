@@ -1,4 +1,4 @@
-"""Conversion of stop signals to exceptions, so that a run can end in order, and time limits."""
+"""Conversion of stop signals to exceptions, so that a run can write its results and end."""
 
 import atexit
 import os
@@ -18,29 +18,29 @@ STOPS = tuple(
 )
 """Signals of this operating system that ask a process to end.
 
-SIGHUP is sent if a terminal is closed or lost. SIGQUIT and SIGBREAK are sent by a key.
+SIGHUP is sent if a terminal is closed or lost. SIGQUIT and SIGBREAK are sent by keys of a terminal.
 """
 
 AGAIN_S = 0.01
-"""Delay after which a stop signal that would be lost is sent again [s].
+"""Delay after which a stop signal is sent again if its exception would be lost [s].
 
-After this delay, the callback during which Python dropped the signal has returned.
+Python drops exceptions in some callbacks. After this delay, the callback has returned.
 """
 
 
 CATCHES_ALL = "trimesh"
-"""Package that catches every exception, also KeyboardInterrupt, around its optional imports."""
+"""Package that catches all exceptions, even KeyboardInterrupt, during its optional imports."""
 
 
 class Terminated(KeyboardInterrupt):
-    """Exception in a process that received a signal of `STOPS`.
+    """Exception that is raised if the process receives one of the signals in `STOPS`.
 
     Attributes
     ----------
     name
         Name of the signal, such as ``SIGTERM``.
     exit_code
-        Exit code of a command that this signal ends: 128 plus the number of the signal.
+        Exit code for a command that the signal ends: 128 plus the number of the signal.
     """
 
     def __init__(self, number: int = signal.SIGTERM) -> None:
@@ -50,13 +50,13 @@ class Terminated(KeyboardInterrupt):
 
 @contextmanager
 def terminated_as_exception() -> Iterator[None]:
-    """Raise `Terminated` in the main thread on a signal of `STOPS`, inside the ``with`` block.
+    """Inside the ``with`` block, raise `Terminated` in the main thread on a signal in `STOPS`.
 
-    In other threads the block has no effect. Native code that a signal interrupts may replace the
-    exception with an error of its own, for example in pydantic. After a stop, including Ctrl-C, any
-    error that leaves the block is therefore replaced with the exception of the stop. Python drops
-    an exception that is raised in some callbacks, such as the callback of a weak reference, and the
-    package `CATCHES_ALL` would catch it. In both cases the stop signal is sent again shortly after.
+    In threads other than the main thread, the context manager has no effect. Native code, for
+    example in pydantic, may convert the exception to another error. After a stop signal or Ctrl-C,
+    any error that leaves the block is therefore replaced by the exception for the signal. Python
+    drops exceptions in some callbacks, such as callbacks of weak references, and the package
+    `CATCHES_ALL` catches all exceptions. In both cases, the signal is sent again shortly after.
     """
     received: list[KeyboardInterrupt] = []
 
@@ -97,11 +97,11 @@ def terminated_as_exception() -> Iterator[None]:
 
 
 def end_at_once(code: int) -> NoReturn:
-    """End the process after a stop, without finalising the interpreter.
+    """End the process after a stop signal, without finalising the interpreter.
 
     A native module whose import was interrupted may crash the interpreter during finalisation. Exit
-    handlers are called and buffered output is written before the end. Threads are not waited for,
-    because they may wait for work.
+    handlers are called and buffered output is written first. The function does not wait for other
+    threads, because they may never end.
     """
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):
@@ -113,7 +113,7 @@ def end_at_once(code: int) -> NoReturn:
 def interrupt_is_free() -> bool:
     """Return True if Ctrl-C raises KeyboardInterrupt.
 
-    This is the case if the handler is Python's default handler or the handler of
+    This is the case if the signal handler is Python's default or was set by
     `terminated_as_exception`.
     """
     handler = signal.getsignal(signal.SIGINT)
@@ -124,7 +124,7 @@ def interrupt_is_free() -> bool:
 def signals_handled(
     numbers: tuple[int, ...], handler: Callable[[int, FrameType | None], None] | signal.Handlers
 ) -> Iterator[None]:
-    """Call a handler for the given signals inside the ``with`` block, only in the main thread.
+    """Set a handler for signals inside the ``with`` block; no effect outside the main thread.
 
     With `signal.SIG_DFL` the operating system ends the process.
 
@@ -145,7 +145,7 @@ def signals_handled(
 
 
 def _is_caught(frame: FrameType | None) -> bool:
-    """Return True if code of `CATCHES_ALL` is running or importing a module."""
+    """Return True if the package `CATCHES_ALL` is on the call stack of a frame."""
     while frame is not None:
         if str(frame.f_globals.get("__name__")).partition(".")[0] == CATCHES_ALL:
             return True
@@ -154,7 +154,7 @@ def _is_caught(frame: FrameType | None) -> bool:
 
 
 def _send(number: int) -> None:
-    """Send a signal to the main thread, even while it sleeps."""
+    """Send a signal to the main thread, and interrupt its sleep."""
     # Windows has no `pthread_kill`, so that a sleep ends late.
     if hasattr(signal, "pthread_kill"):
         signal.pthread_kill(threading.main_thread().ident or 0, number)
@@ -163,9 +163,9 @@ def _send(number: int) -> None:
 
 
 def returned_within(seconds: float, call: Callable[[], object]) -> bool:
-    """Return True if a call returned without an error within a time [s].
+    """Run a function; return True if it has returned without an error within a time [s].
 
-    The call runs in a thread. If the call blocks, the thread is not waited for.
+    The function runs in a thread, which is abandoned if the function takes longer.
     """
     returned = threading.Event()
 

@@ -1,6 +1,6 @@
-"""Executors for parallel work: processes of this computer, or workers of a Dask scheduler.
+"""Parallel execution of jobs in processes of this computer or on workers of a Dask scheduler.
 
-Worker processes end with this process. Processes that hang are detected.
+Local worker processes end when this process ends. Processes that hang are killed.
 """
 
 import asyncio
@@ -38,7 +38,7 @@ Result = TypeVar("Result")
 
 @contextmanager
 def worker_pool(workers: int) -> Iterator[Executor]:
-    """Yield an executor whose worker processes end when this process ends for any reason."""
+    """Yield an executor whose processes end when this process ends for any reason."""
     kept = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
     others = set(multiprocessing.active_children())
@@ -68,22 +68,20 @@ def worker_pool(workers: int) -> Iterator[Executor]:
 def first_done(
     pool: Executor, futures: Collection["Future[Result]"], report: Progress
 ) -> "set[Future[Result]]":
-    """Wait until some of the work is done; kill workers that hang.
-
-    The work of killed workers is lost.
+    """Wait until at least one future is finished; kill worker processes that hang.
 
     Parameters
     ----------
     pool, futures
-        Executor, and futures of its work. Only local processes are checked, because a Dask
-        scheduler checks its own workers.
+        Executor, and futures of the work that was submitted to it. Only local processes are checked
+        for hanging, because a Dask scheduler checks its own workers.
     report
-        Function that is called with the reason why workers were killed.
+        Function that is called with the reason if workers are killed.
 
     Returns
     -------
-    The finished futures. Their results raise `concurrent.futures.BrokenExecutor` if the workers are
-    lost.
+    The finished futures. After workers were killed, the ``result`` of a future raises
+    `concurrent.futures.BrokenExecutor`.
     """
     detector = HangDetector(
         lambda: [number for child in multiprocessing.active_children() if (number := child.pid)]
@@ -103,8 +101,8 @@ def first_done(
 def _interrupted_later() -> Iterator[None]:
     """Block Ctrl-C while processes start.
 
-    The processes inherit the blocking of the signal. Otherwise, Ctrl-C would make them print a
-    traceback before they can ignore it.
+    The processes inherit the blocked signal. Without this, a process that receives Ctrl-C before it
+    ignores the signal would print a traceback.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -117,34 +115,31 @@ def _interrupted_later() -> Iterator[None]:
 
 
 def _begin_worker(parent: int, strictly: bool) -> None:
-    """Ignore Ctrl-C in a worker, and end the worker when its parent process ends.
-
-    If the parent process is killed, it cannot end the worker itself.
-    """
+    """Prepare a worker process: ignore Ctrl-C, and end when the parent process ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with(parent, strictly=strictly)
 
 
 AHEAD = 3
-"""Number of jobs per worker that are submitted at a time.
+"""Number of submitted and unfinished jobs for each worker.
 
-With this number, no worker waits, and memory does not grow with the number of jobs.
+With three jobs, no worker has to wait, and memory does not grow with the total number of jobs.
 """
 LOSSES = 3
-"""Number of lost workers after which a job is run alone.
+"""Number of crashed workers after which a job that may be the cause is run alone.
 
-The lost workers are counted for each job that was submitted at the time of the loss. If a job is
-run alone, a further loss shows that this job ends its worker.
+Each crash counts for all jobs that were submitted and unfinished at that time. If a worker crashes
+while a job is run alone, this job is the cause.
 
-One or two lost workers may be due to other jobs, or to the machine.
+One or two crashes may be due to other jobs or to the machine.
 """
 BARREN = 20
-"""Number of consecutive losses of workers, without a finished job, after which the work stops.
+"""Number of consecutive crashes of workers, without a finished job, after which an error is raised.
 
-The pauses between the losses take 21 s in total.
+The pauses after these crashes take 21 s in total.
 """
 PATIENCE_S = 30.0
-"""Time that a scheduler may take to answer [s], because a cluster may still be starting."""
+"""Time that a Dask scheduler may take to answer [s]; a cluster may still be starting."""
 
 
 def finished(
@@ -155,26 +150,27 @@ def finished(
     scheduler: str | None,
     report: Callable[[str], None],
 ) -> Iterator[list[tuple[Job, Result | Exception]]]:
-    """Run jobs in other processes, and yield lists of finished jobs with their results.
+    """Run jobs in other processes; yield lists of pairs of a finished job and its result.
 
-    A lost worker is replaced and its jobs are run again. If a job always ends its worker, its
-    result is an error. If a job raises an error, this error is its result.
+    If a worker crashes, it is replaced and its jobs are run again. If a job raises an error or
+    always crashes its worker, its result is the error.
 
     Parameters
     ----------
     work
         Function that is run with each job.
     jobs
-        Jobs to run. They must be hashable and differ from each other.
+        Jobs to run: arguments of `work`, hashable and distinct.
     workers, scheduler
-        Number of processes, or address of a Dask scheduler, see `executor`.
+        Number of local processes, and address of a Dask scheduler to use instead, or None. See
+        `executor`.
     report
-        Called with the reason why workers were lost.
+        Function that is called with the reason if workers crash.
 
     Raises
     ------
     InputError
-        If no scheduler answers, or workers are lost again and again.
+        If the scheduler does not answer, or workers crash repeatedly without a finished job.
     """
     waiting = dict.fromkeys(jobs)
     losses: Counter[Job] = Counter()
@@ -239,14 +235,14 @@ def finished(
 
 
 SCHEMES = {"tcp": "tcp", "tls": "tls", "dask": "tcp"}
-"""Supported schemes of addresses, and names of these schemes in Dask."""
+"""Schemes of scheduler addresses that users may write, with the schemes that Dask uses for them."""
 CERTIFICATES = ("ca-file", "client.cert", "client.key")
-"""Keys of Dask's configuration that must name certificate files for a TLS client.
+"""Keys of Dask's configuration that must contain paths of certificate files for a TLS client.
 
-The keys are below ``distributed.comm.tls``.
+The keys are in the section ``distributed.comm.tls``.
 """
 LOST = (BrokenExecutor, CancelledError, ConnectionError, TimeoutError)
-"""Errors that mean that workers were lost, in contrast to errors of the work."""
+"""Errors that indicate a crashed worker or a lost connection, not an error in a job."""
 
 
 def executor(
@@ -259,9 +255,9 @@ def executor(
     workers
         Number of processes of this computer.
     scheduler
-        Address that a Dask scheduler prints, or None for local processes. The address is
-        ``tcp://HOST:PORT`` or ``tls://HOST:PORT``; ``dask://`` means ``tcp://``. For a ``tls``
-        address, the certificates of Dask's configuration are used.
+        Address of a Dask scheduler, or None for local processes. The address is ``tcp://HOST:PORT``
+        or ``tls://HOST:PORT``; ``dask://`` is an alias of ``tcp://``. For a ``tls`` address, the
+        certificates of Dask's configuration are used.
     patience_s
         Longest wait for an answer of the scheduler [s].
 
@@ -271,14 +267,14 @@ def executor(
         If the scheduler's address is not valid, Dask is not installed, certificates are missing, or
         a worker runs another version of this package than this process.
     ConnectionError
-        If no scheduler answers.
+        If the scheduler does not answer.
     """
     return worker_pool(workers) if scheduler is None else _dask(scheduler, patience_s)
 
 
 @contextmanager
 def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
-    """Yield the executor of a Dask scheduler."""
+    """Connect to a Dask scheduler and yield its executor."""
     kind, _, place = scheduler.partition("://")
     if kind not in SCHEMES or not place:
         raise InputError(
