@@ -86,8 +86,7 @@ class Run:
     path_distance_mm: dict[str, float] | None = None
     draw: "Callable[[Run, Path, str], list[str]] | None" = None
     begun: RunFolder | None = None
-    """Folder that received the rows of the trace during the run; None after the run was saved
-    there."""
+    """Folder that received the trace during the run; None after the run was saved there."""
     _saved: SavedRun | None = None
     _compute = "cpu"
 
@@ -235,9 +234,10 @@ class Run:
 
     @property
     def summary(self) -> Summary:
-        """Figures of the run, as in ``summary.json``.
+        """Results of the run, with the same entries as ``summary.json``.
 
-        The figures include volumes, forces, tick times, missed deadlines, scheduling and notes.
+        The entries include removed volumes, forces, durations of ticks, missed deadlines,
+        scheduling and notes.
         """
         if self._saved is not None:
             return self._saved.summary | {"status": self._saved.status}

@@ -128,8 +128,7 @@ def run_file_names() -> tuple[str, ...]:
 
 
 def named_as_run_files(path: Path) -> set[str]:
-    """Return the names of files in a folder that a run could have written, judged by their
-    names."""
+    """Return the names of files in a folder that have the name of a file of a run."""
     found = {
         each.relative_to(path).as_posix() for name in run_file_names() for each in path.glob(name)
     }
@@ -201,8 +200,10 @@ class RunFolder:
 
     @contextmanager
     def ending(self) -> Iterator[None]:
-        """In a ``with`` block, write the cause of an error to the summary and release the
-        folder."""
+        """Enter a ``with`` block; if an error ends it, write the cause to the summary.
+
+        The folder is then also released.
+        """
         try:
             yield
         except BaseException as error:

@@ -16,7 +16,8 @@ SPUN_S = 0.3
 SPUN_SHARE = 0.1
 """Largest time for which the clock is polled, divided by the simulated time.
 
-The clock is polled before and after the ticks, each time for at most `SPUN_S`.
+The clock is polled before the ticks, and again after the ticks. Each of these measurements takes at
+most `SPUN_S`.
 
 The ratio limits the additional time of a short run. Both values were chosen by judgement.
 """

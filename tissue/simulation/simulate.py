@@ -76,8 +76,7 @@ class RunObserver:
         return True
 
     def on_event(self, time_s: float, what: str) -> None:
-        """Handle an event of the tissue, given as time [s] and sentence, in the tick of the
-        event."""
+        """Handle an event (time [s] and sentence) that the tissue reports in this tick."""
 
     def on_end(self) -> Events:
         """Release resources, also after an error, and return the events of the observer.

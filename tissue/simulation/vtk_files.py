@@ -173,8 +173,7 @@ def _points(mesh: "pyvista.PointSet") -> Array:
 
 
 def _moved(mesh: Mesh, points: Array, turn: Array) -> Mesh:
-    """Return a copy of a mesh with new points, and with vectors multiplied by `turn` from the
-    right."""
+    """Return a copy of a mesh with new points, and with vectors v replaced by v @ turn."""
     import pyvista
 
     moved = mesh.copy(deep=False)
