@@ -176,8 +176,7 @@ class _Probe:
         )
 
     def _show(self, predictor: "Predictor", seen: Sequence[Array], tick: int) -> Array:
-        """Pass the observations of a tick to a predictor, and return the normal component of its
-        force."""
+        """Pass the observations of a tick to a predictor, and return its normal force."""
         if isinstance(predictor, SeesContact):
             force = self.stiffness_N_m * self.depth_m * OUT
             rigid = RIGID * self.stiffness_N_m * np.outer(OUT, OUT)

@@ -82,11 +82,11 @@ def growth_while_running(
 
     The n loops are simulated at once, after a push. All loops must have the same ``tick_s``,
     ``model_ticks``, velocity filter, ``forecast`` and ``vibration``. A loop runs as on a device:
-    sample, velocity, force, filter, delay, zero-order hold. The amplitude is the square root of the
-    sum of kinetic and stored energy. The growth is the ratio of the mean amplitudes around 85 % and
-    around 45 % of the run. The growth is infinite after an overflow. With 4000 ticks, the critical
-    stiffness found with this function differs by at most 0.02 % from the critical stiffness
-    computed from eigenvalues (validation case 21).
+    sample, velocity, force, filter, delay, zero-order hold. The growth is the square root of an
+    energy ratio: the mean energy around 85 % of the run, divided by the mean energy around 45 %.
+    The energy is the sum of kinetic and stored energy. The growth is infinite after an overflow.
+    With 4000 ticks, the critical stiffness found with this function differs by at most 0.02 % from
+    the critical stiffness computed from eigenvalues (validation case 21).
     """
     first = loops[0]
     tick = first.tick_s

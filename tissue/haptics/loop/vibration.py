@@ -214,8 +214,7 @@ class Cues:
         self._along = np.zeros(3)
 
     def step(self, force_N: Array, response: Response) -> Array:
-        """Return the transient [N], shape (3,), to add to the device force ``force_N`` in a
-        tick."""
+        """Return the transient [N], shape (3,), to add to the device force ``force_N``."""
         if self._events.step(response.engaged_m2):
             self._left = len(self._burst)
             self._along = np.zeros(3)
@@ -279,8 +278,7 @@ class PlayedForce:
         self.measures = np.zeros(len(self.names))
 
     def step(self, force_N: Array, response: Response) -> tuple[Array, bool]:
-        """Return the force for the device [N], shape (3,), and True if its range compressed the
-        force.
+        """Return the device force [N], shape (3,), and True if the range compressed it.
 
         Raises
         ------
