@@ -129,8 +129,7 @@ class HardwareAdapter(ABC):
 
     @abstractmethod
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Apply a force and a torque, in the frame of the device, to the hand until the next
-        call."""
+        """Apply a force and a torque, in the device's frame, to the hand until the next call."""
 
     @abstractmethod
     def close(self) -> None:

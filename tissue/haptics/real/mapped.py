@@ -267,8 +267,7 @@ class MappedDevice:
         return Sample(time_s, position, velocity, quaternion, spin)
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """Apply the limited force and the torque, both in the world frame, multiplied by
-        `share`."""
+        """Apply the limited force and the torque (world frame), multiplied by `share`."""
         size = sqrt(force_N.dot(force_N))
         share = self.share * (self._cap / size if size > self._cap else 1.0)
         self.played = share * force_N, self.share * torque_Nm

@@ -152,8 +152,7 @@ class LoopSettings:
         return self.sample_s > TICK_S * (1.0 + 1e-6)
 
     def vibration(self, step_s: float) -> Vibration | None:
-        """Return the vibration of a cutter's teeth for a time step [s]; None without vibration.
-        """
+        """Return the vibration of a cutter's teeth for a time step [s]; None without vibration."""
         share = self.output.vibration_share
         if share == 0.0 or self.teeth_Hz == 0.0:
             return None

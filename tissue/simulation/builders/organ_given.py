@@ -1,5 +1,4 @@
-"""Material and supports of a soft organ, for scenes and for `tissue.Organ`.
-"""
+"""Material and supports of a soft organ, for scenes and for `tissue.Organ`."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
