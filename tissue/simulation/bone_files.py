@@ -194,7 +194,7 @@ def write_bone(run: CarvedRun, out: Path) -> None:
 
 
 def _write_nrrd(run: CarvedRun, path: Path) -> None:
-    """Write ``remaining`` as a compressed NRRD image.
+    """Write the bone left in each voxel (255 = full) as a compressed NRRD image.
 
     The axes are LPS (left, posterior, superior), which 3D Slicer also uses for surface files.
     """

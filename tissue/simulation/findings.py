@@ -52,7 +52,7 @@ LEAST_DENSE = 0.001
 The share was chosen by judgement.
 """
 FORWARD = 0.5
-"""Smallest share of the travel in a tick that must be along the tool's axis in a break-through.
+"""Smallest share of the travel in a tick, along the tool's axis, that counts as forward motion.
 
 The limit excludes a tool that leaves the bone sideways.
 """
@@ -63,8 +63,8 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
 
     There is also a note if the bone has a density image, but almost no bone in the simulated region
     is dense enough to be cortical bone. ``path_s`` is the duration of the run [s], or infinity if a
-    user decides when the run ends. If the duration is shorter than the scripted motion, there is a
-    note.
+    user decides when the run ends. A duration that is shorter than the scripted motion also causes
+    a note.
     """
     found = {}
     wanted_s = parts.motion.duration_s - parts.motion.after_s
@@ -123,7 +123,7 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
 
 
 def region_note(parts: Parts, trace: Table) -> dict[str, str]:
-    """Return a note if the tool left the simulated region; it gives a margin that is sufficient."""
+    """Return a note that suggests a larger voxel margin if the tool left the simulated region."""
     end = parts.region_end
     if end is None or end.left_s is None:
         return {}
@@ -138,7 +138,7 @@ def region_note(parts: Parts, trace: Table) -> dict[str, str]:
 
 
 def path_distance_mm(scene: Scene, motion: Motion, trace: Table) -> dict[str, float] | None:
-    """Return the largest distances [mm] of a tool in a simulated hand from the scripted path.
+    """Return the largest distances [mm] between tool and scripted path in a run with a hand.
 
     The keys are ``largest_in_contact`` and ``largest``. The result is None if no simulated hand
     moves the tool.
@@ -155,7 +155,7 @@ def path_distance_mm(scene: Scene, motion: Motion, trace: Table) -> dict[str, fl
 
 
 def path_note(scene: Scene, parts: Parts, apart_mm: dict[str, float] | None) -> dict[str, str]:
-    """Return a note if a cutter in a simulated hand left its path; it gives a smaller force scale.
+    """Return a note that suggests a smaller force scale if a cutter in a hand left its path.
 
     ``apart_mm`` is the result of `path_distance_mm`.
     """

@@ -66,7 +66,7 @@ class PoseLog:
 
 
 class Stepper:
-    """Part of a tick that moves the tool and computes the response of the tissue.
+    """Object that moves the tool in each tick and computes the response of the tissue.
 
     The forces are neither processed for a device nor recorded. Every part of the package that
     simulates ticks uses this class. In a tick, the order of computing force and removing bone does
@@ -220,7 +220,7 @@ def undisturbed() -> Iterator[None]:
 
 
 class Loop:
-    """Loop of a run: motion, removal, force, output and record in ticks of 1 ms.
+    """Loop of a run in ticks of 1 ms, which also processes and records the forces.
 
     All memory that a tick needs is allocated once, when the loop is made.
 
@@ -304,7 +304,7 @@ class Loop:
         self._record(self.trace.rows[0], 0, response)
 
     def wait(self) -> None:
-        """Wait for background work whose result is needed at the next tick."""
+        """Wait for work in the background whose result is needed at the next tick."""
         self._stepper.wait(self.ticks)
 
     def step(self) -> int:
@@ -364,7 +364,7 @@ class Loop:
         }
 
     def restore(self, state: State) -> None:
-        """Restore a copied state."""
+        """Restore a state that `state` returned."""
         # The tissue is restored first, so the loop stays unchanged if the tissue refuses the state.
         self._stepper.restore(state["stepper"])
         put_back(self, state["own"])

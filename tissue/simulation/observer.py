@@ -38,8 +38,8 @@ BEHIND = (
 BEHIND_S = 0.01
 """Largest lateness of a tick [s] for which the following ticks run without waiting.
 
-They run without waiting until the run is on time again. After a larger lateness, the schedule is
-moved.
+These ticks run without waiting until the run is on time again. After a larger lateness, the
+schedule is moved.
 
 A person does not feel when up to ten ticks run faster than in real time.
 """

@@ -135,7 +135,7 @@ class _Widened(Motion):
 
 
 def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Parts, Region]:
-    """Build the objects that simulate a scene, for a tool whose poses the caller gives.
+    """Build the objects that simulate a scene, for a tool that is moved to given poses.
 
     The region in which the tissue is prepared is also returned.
 

@@ -116,7 +116,7 @@ class Run:
         Parameters
         ----------
         path
-            Folder of a run. The run may have been stopped early.
+            Folder of a run, which may have been stopped early.
 
         Raises
         ------
@@ -291,7 +291,7 @@ class Run:
         return found
 
     def _timing_figures(self) -> Summary:
-        """Return the entries of the summary on tick times, missed deadlines and scheduling."""
+        """Return the summary's entries about tick times, missed deadlines and scheduling."""
         ticks = self.timing["tick_us"]
         late = np.zeros(len(ticks))
         exposed_s = 1e-6 * float(ticks.sum())
@@ -410,7 +410,7 @@ class Run:
         overwrite: bool,
         report: Progress,
     ) -> None:
-        """Write the folder of a simulated run, or complete a folder that the run began to write."""
+        """Write the folder of a simulated run, or complete the folder that the run has begun."""
         from tissue.simulation.bone_files import write_bone, write_carving
         from tissue.simulation.recording import write_formats
         from tissue.simulation.vtk_files import write_fields

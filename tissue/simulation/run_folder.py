@@ -239,7 +239,7 @@ class RunFolder:
         ]
 
     def flush(self, row_count: int, *, force: bool = False) -> None:
-        """Write the rows so far to disk; skip this if the last flush was recent and not `force`."""
+        """Write the rows so far to disk; do nothing if the last write was recent."""
         for writer in self._writers:
             writer.flush(row_count, force=force)
 

@@ -1,6 +1,6 @@
 """Scheduling of a run: scheduling gaps, processor cores and kernel launches.
 
-A scheduling gap is a time in which the system did not run the thread of the ticks.
+A scheduling gap is a time in which the system did not run the thread that runs the ticks.
 """
 
 from collections.abc import Callable

@@ -126,9 +126,9 @@ def simulate(
         thread. The last command to the device is zero, even if an error ends the ticks; see
         `tissue.haptics.device.safe_device.SafeDevice`.
     observers
-        Observers that are called in every tick, in this order. The methods `on_begin` and `on_end`
-        are called in reverse order. The reason is that the first observer of a live run must take
-        over Ctrl-C after all other observers have begun.
+        Observers that are called in every tick, in this order. Their method `on_begin` is called in
+        reverse order. The reason is that the first observer of a live run must take over Ctrl-C
+        after all other observers have begun.
 
     Raises
     ------

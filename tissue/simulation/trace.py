@@ -379,7 +379,7 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
 
 
 def _line_error(path: Path, row: int, wanted: str, got: object) -> InputError:
-    """Return the error for a row of a table."""
+    """Return the error for an invalid row of a CSV file."""
     where = f"{got} in line {row + 2} of {path}"
     return InputError(path.name, wanted, where, f"fix that line or {AGAIN}")
 

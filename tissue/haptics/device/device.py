@@ -111,7 +111,7 @@ class ComputedDevice:
 class DeviceParameters:
     """Physical parameters and limits of a device.
 
-    All values are equal in all directions.
+    Each value is valid for all directions.
 
     Attributes
     ----------
@@ -243,7 +243,7 @@ FURTHER = 3.0
 """Reach of a device's arm divided by the diagonal of its published workspace.
 
 The Touch has a published workspace of 160 x 120 x 70 mm, but its arm moves in 431 x 348 x 165 mm.
-If positions of a Touch are wrongly given in millimetres, a motion of 0.6 mm already exceeds the
+If positions of a Touch are given in millimetres by mistake, a motion of 0.6 mm already exceeds the
 computed reach.
 """
 UNSTATED_M = 3.0

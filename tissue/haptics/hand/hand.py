@@ -186,7 +186,7 @@ class HandParameters:
     stiffness_N_m, damping_N_s_m, mass_kg
         Stiffness, damping and mass of the grip at the device [N/m], [N s/m], [kg].
     turning_stiffness_Nm_rad, turning_damping_Nm_s_rad, inertia_kg_m2
-        Stiffness, damping and inertia of the grip in rotation.
+        Stiffness [N m/rad], damping [N m s/rad] and inertia [kg m2] of the grip in rotation.
     reflex_share, reflex_s
         Stiffness of the reflex divided by the stiffness of the grip, and delay of the reflex [s].
     """

@@ -108,8 +108,8 @@ def in_hands(loop: WallLoop, hands: Sequence[tuple[float, ...]]) -> tuple[WallLo
 def settling_hands(loop: WallLoop, hands: Sequence[LinearHand]) -> tuple[LinearHand, ...]:
     """Return the hands that do not oscillate on the device without a virtual wall.
 
-    Its reflex may make a hand oscillate, even without a wall. Such a hand is not used to choose a
-    coupling stiffness, because it may oscillate with any stiffness.
+    The reflex may make a hand oscillate even without a wall. Such a hand is not used to choose a
+    coupling stiffness, because the hand may oscillate with any stiffness.
     """
     alone = replace(loop, stiffness_N_m=0.0, wall_damping_N_s_m=0.0, forecast=None)
     return tuple(

@@ -29,7 +29,7 @@ Hz, at which hand and device hardly move.
 MOST_PERIOD_TICKS = 200
 """Longest period of a vibration in the stability analysis of a loop [ticks].
 
-At 1 kHz, this limit allows frequencies from 5 Hz. Their rounding error is at most 0.5 %.
+At 1 kHz, this limit allows frequencies from 5 Hz. A frequency is then rounded by at most 0.5 %.
 """
 SLEW_SHARE = 0.5
 """Share of the device's slew rate that the vibration may use.
@@ -89,12 +89,12 @@ class PlayedVibration:
     The vibration is F_v = share E cos(2 pi f t). E is the force F averaged with a time constant tau
     of 0.05 s, E' = (F - E) / tau. Within a period of the vibration, E is nearly constant. The
     vibration therefore hardly depends on the state of the loop. A change of the force at the
-    frequency g returns through the vibration at the frequencies f - g and f + g. Its amplitude is
-    then multiplied by at most share / sqrt(1 + (2 pi g tau)^2). Two limits reduce the amplitude of
-    the vibration. The sum of force and vibration stays within the largest force of the device. The
-    vibration uses at most half of the slew rate, because a loop at its slew limit oscillates. The
-    stability analysis (`tissue.haptics.loop.sampled_loop`) includes the vibration without these
-    limits.
+    frequency g returns through the vibration at the frequencies f - g and f + g. On this path, the
+    amplitude of the change is multiplied by at most share / sqrt(1 + (2 pi g tau)^2). Two limits
+    reduce the amplitude of the vibration. The sum of force and vibration stays within the largest
+    force of the device. The vibration uses at most half of the slew rate, because a loop at its
+    slew limit oscillates. The stability analysis (`tissue.haptics.loop.sampled_loop`) includes the
+    vibration without these limits.
 
     Parameters
     ----------

@@ -56,8 +56,8 @@ accepted velocity.
 SLOW = 1e-6
 """Velocity at which Newton's method restarts, divided by the velocity of a free tool.
 
-The value is chosen. At this velocity, the edge forces of the cutter are still far below their full
-values. The velocity is not zero, so that the direction of motion is defined.
+The value is chosen. At this velocity, no edge force of the cutter has reached its full value. The
+velocity is not zero, so that the direction of motion is defined.
 """
 SHORTEST = 1e-4
 """Share of a Newton step below which the line search accepts a point without a test.
@@ -99,8 +99,8 @@ class CuttingTool(HeldTool):
     Here x and v are position and velocity of the tip, m is the mass of the tool, and k and b are
     stiffness and damping of the coupling. F is the force of the tissue, a Lipschitz function of the
     velocity. The bone at the cutting elements is found only once per step, at the pose that the
-    tool would reach with its present velocity. Newton's method solves the balance. The force is
-    differentiable except at kinks, where it has different slopes on the two sides (semi-smooth).
+    tool would reach with its present velocity. Newton's method solves this force balance. The force
+    is differentiable except at kinks, where it has different slopes on the two sides (semi-smooth).
 
     For a device that can apply torque, the angular velocity is computed in the same way. The
     balance of torques contains the moment of inertia about the tip, the rotational spring and a

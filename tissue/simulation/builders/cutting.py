@@ -202,7 +202,7 @@ def _require_chips(scene: Scene, cutter: Cutter) -> None:
 
 
 def _filled_layers(volume: VoxelVolume) -> list[str]:
-    """Return the names of the layers that have bone in a volume, in the order of the volume."""
+    """Return the names of the layers that have bone in a volume, in the order of `layer_names`."""
     return [volume.layer_names[at] for at in np.unique(volume.layer[volume.fraction > 0])]
 
 
@@ -262,7 +262,7 @@ def _require_effect(scene: Scene, volume: VoxelVolume, layers: list[str]) -> Non
 
 
 def _probed(volume: VoxelVolume, cutter: Cutter, motion: Motion, *, compute: str) -> "ProbedBone":
-    """Return rigid bone for a hand that touches it with a tool that does not rotate."""
+    """Return a model of rigid bone for a hand-held tool that does not rotate."""
     from tissue.haptics.hand_motion import HandMotion
     from tissue.haptics.proxy.probing_tool import ProbedBone, ProbingTool
     from tissue.haptics.proxy.proxy import ToolShell
@@ -492,7 +492,8 @@ def tool_boxes(
 
     The result is the lowest and the highest corner of each box [m], each of shape (n, 3).
 
-    The boxes cover the poses and the straight lines between them.
+    The boxes cover the cutter at the given poses and on the straight lines between successive
+    poses.
 
     Parameters
     ----------
@@ -512,7 +513,7 @@ def tool_boxes(
 
 
 def element_spacing_m(cutter: Cutter, *, depth_m: float, tolerance: float) -> float:
-    """Return the distance between cutting elements [m] at which the force meets a tolerance.
+    """Return the distance between cutting elements [m] for a tolerated error of the force.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ LEAST = 4.0
 
 The largest scaled force is the maximum along the scripted motion. The value is assumed.
 
-If both bounds cannot be met, `MOST` takes precedence.
+If the bounds `LEAST` and `MOST` contradict each other, `MOST` takes precedence.
 """
 STIFFER = 1.3
 """Ratio of the stiffnesses of two specimens for which the sensitivity d' is computed.
@@ -87,13 +87,14 @@ class Met(NamedTuple):
     Attributes
     ----------
     force_N
-        Largest force.
+        Largest force along the scripted motion [N].
     stiffness_N_m
-        Slope of the force as a function of the tool's depth, at the depth of the scripted motion.
-        The slope is 0 for a tissue that is cut or pierced. If the stiffness of the tissue varies
-        along the scripted motion, the value is the geometric mean of the slopes at both ends.
+        Slope of the force as a function of the tool's depth, at the depth of the scripted motion
+        [N/m]. The slope is 0 for a tissue that is cut or pierced. If the stiffness of the tissue
+        varies along the scripted motion, the value is the geometric mean of the slopes at both
+        ends.
     depth_m
-        Force divided by slope, both at the depth of the scripted motion. With Hertz's law, the
+        Force divided by slope, both at the depth of the scripted motion [m]. With Hertz's law, the
         result is two thirds of the depth of the scripted motion.
     """
 
@@ -133,7 +134,7 @@ class Series(NamedTuple):
 
     @classmethod
     def of(cls, limits: DeviceParameters, constants: Materials) -> "Series":
-        """Return the series for a device in the hand `HELD_BY`."""
+        """Return the compliance and the threshold for a device in a hand of the group `HELD_BY`."""
         limit = limits.stiffness_limit_N_m
         stiffness = limit if isfinite(limit) else USUAL_N_M
         hand = hand_parameters(HELD_BY, constants).stiffness_N_m
@@ -153,7 +154,7 @@ class Series(NamedTuple):
         return sqrt(felt) / met.stiffness_N_m
 
     def sensitivity(self, met: Met, scale: float) -> float:
-        """Return the sensitivity d' for two tissues whose stiffnesses differ by `STIFFER`."""
+        """Return the sensitivity d' for two tissues with the stiffness ratio `STIFFER`."""
         stiffness = scale * met.stiffness_N_m
         yielding = 1.0 + stiffness * self.yields_m_N
         force_N = stiffness * met.depth_m / yielding
@@ -171,7 +172,8 @@ class ForceScale(NamedTuple):
     why
         Reason for the choice, as text that completes a sentence.
     d_prime
-        Expected sensitivity for a tissue that is stiffer by `STIFFER`; None if it is not known.
+        Expected sensitivity d' for two tissues with the stiffness ratio `STIFFER`; None if it is
+        not known.
     """
 
     factor: float

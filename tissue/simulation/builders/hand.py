@@ -110,7 +110,7 @@ def _stray_m(scene: Scene) -> float:
 
 
 def _require_workspace(scene: Scene, scripted: Motion, limits: DeviceParameters) -> None:
-    """Refuse a motion that leaves the workspace of the device.
+    """Raise an error if a motion leaves the workspace of the device.
 
     The device may be turned, so any side of the workspace box may lie along any axis of the motion.
     """
@@ -198,11 +198,11 @@ def device_motion(
 ) -> tuple[HandMotion, list[str]]:
     """Return the motion of a tool that is coupled to a device, and notes on the chosen settings.
 
-    Forces are scaled by f, and motions by m: the tool moves m times as far as the device. A
-    stiffness K at the tool is therefore felt as m f K. Torques are scaled by f / m, so that the
-    work at the device is f / m times the work at the tool. The stiffness of the coupling is given
-    at the device, so the scales do not change this stiffness. The stability check uses the same
-    stiffness.
+    The device force is f times the force on the tool, and the tool moves m times as far as the
+    device. A stiffness K at the tool is therefore felt as m f K. Torques are scaled by f / m, so
+    that the work at the device is f / m times the work at the tool. The stiffness of the coupling
+    is given at the device, so it does not depend on f and m. The stability check uses the same
+    value.
 
     Parameters
     ----------

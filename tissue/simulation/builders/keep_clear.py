@@ -27,7 +27,7 @@ from tissue.simulation.builders.parts import Parts, swept_box
 from tissue.simulation.builders.voxels import is_procedural, solid_of, structures
 
 MARGIN_M = 10e-3
-"""Margin around the scripted motion, because a hand may leave the path [m]; assumed."""
+"""Assumed margin around the scripted motion [m], because a hand may leave the path."""
 POINTS_ACROSS = 12.0
 """Tool radius divided by the distance between drawn points of the tool; chosen by judgement."""
 

@@ -97,7 +97,8 @@ class LoopSettings:
 
     @property
     def coupling(self) -> Coupling:
-        """Scene table of the coupling: stiffness, scales, latency and rate of the model."""
+        """Scene table of the coupling, with stiffness, scales, latency and rate of the tissue
+        model."""
         return self.held.coupling
 
     @cached_property
@@ -187,7 +188,8 @@ class JudgedLoop:
     Attributes
     ----------
     loop
-        Loop with the given or chosen stiffness. For rotation, the units are N m/rad and so on.
+        Loop with the given or chosen stiffness. For the loop of rotation, the units are those of
+        rotation, such as N m/rad.
     verdict
         Result of the stability check for the loop with the hand.
     unit
@@ -299,8 +301,8 @@ def judged_loop(settings: LoopSettings) -> WallLoop:
     estimates the stiffness of the tissue from the last motion of the tool. For a tool that slides
     along the surface, this is the stiffness along the surface. The force balance is then found one
     tick later. For a guarded predictor, the loop contains the predictor or its fallback, whichever
-    has the lower critical stiffness. The loop includes the vibration of a cutter's teeth, because
-    its amplitude is proportional to the force.
+    has the lower critical stiffness. The loop also includes the vibration of a cutter's teeth,
+    because the amplitude of the vibration is proportional to the force.
 
     A slow device holds each force until its next sample, so its loop is checked at the sample rate
     of the device.
@@ -369,7 +371,7 @@ def device_path(limits: DeviceParameters) -> WallLoop:
 def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
     """Return the linearised model of the predictor and, for a guarded predictor, of its fallback.
 
-    The list contains only None if forces are not predicted.
+    If forces are not predicted, the only element of the list is None.
 
     The models are linearised for a tool at rest in contact. The contact force is the share
     `REST_SHARE` of the device's largest force.

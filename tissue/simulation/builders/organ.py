@@ -163,7 +163,7 @@ def held_mesh(
 def elasticity_of(
     mesh: TetMesh, anatomy: SoftAnatomy, organ: Organ, constants: Materials = Materials.cited
 ) -> tuple[Array, str]:
-    """Return the elasticity of the cells [Pa], and a note on it; see `SoftMaterial.elasticity`."""
+    """Return the elastic constants of the cells [Pa], and a note; see `SoftMaterial.elasticity`."""
     material, notes = material_of(anatomy, organ, constants)
     with names_of_caller(OF_ORGAN):
         return material.elasticity(mesh), notes["modulus"]

@@ -40,7 +40,7 @@ SIDES = {
     "-z": (0.0, 0.0, -1.0),
     "+z": (0.0, 0.0, 1.0),
 }
-"""Outward directions of the sides of the surface that may be held, keyed by name."""
+"""Outward directions of the sides of an organ's surface that may be held, keyed by name."""
 Hold = Callable[[TetMesh], Nodes]
 """Function that returns the held nodes of a mesh."""
 

@@ -124,8 +124,8 @@ def pressed(
     Raises
     ------
     InputError
-        If the organ cannot be meshed or held, or the probe never touches the organ or starts inside
-        it.
+        If the organ cannot be meshed, if no node of the organ is held, or if the probe never
+        touches the organ or starts inside it.
     """
     from tissue.models.organ.model import ContactSolution, LiverModel
     from tissue.models.organ.soft_organ import ToolPath
@@ -289,10 +289,10 @@ def probe_of(tool: Probe) -> ProbeShape:
 
 
 def require_outside(mesh: TetMesh, motion: Motion) -> None:
-    """Refuse a motion that starts with the tip of the tool inside the organ.
+    """Raise an error if a motion starts with the tip of the tool inside the organ.
 
-    A probe whose tip is outside but which overlaps the organ is refused later, by the contact
-    model.
+    If the tip is outside but another part of the probe overlaps the organ, the contact model raises
+    an error later.
     """
     tip = motion.sweep_m()[0]
     corners = mesh.nodes_m[mesh.cells]

@@ -120,7 +120,7 @@ def plays_record(scene: Scene) -> bool:
 def recorded_file(scene: Scene) -> str:
     """Return the path of the file with recorded tool poses; empty if the motion is not recorded.
 
-    The file is a key of a replay motion or of a recorded device.
+    The file is given for a replay motion or for a recorded device.
     """
     if plays_record(scene):
         return scene.held.hardware.address
@@ -164,7 +164,10 @@ def reach(cutter: Cutter, motion: Motion, margin: float) -> Corners:
 
 
 def swept_box(shell: Array, motion: Motion, margin: float) -> Corners:
-    """Return a box around all positions of the tool's points, shape (n, 3), with a margin [m]."""
+    """Return a box, with a margin [m], around all positions of points of the tool.
+
+    The points `shell` have shape (n, 3), in the frame of the tool [m].
+    """
     tips = motion.sweep_m()
     rotations = motion.rotations()
     # A recorded motion has an orientation in every tick. It is divided into about 500 parts, and
@@ -299,11 +302,11 @@ def _on_one_side(points: Array, region: Corners) -> bool:
 
 
 def w_first_notice(volume: VoxelVolume, cutter: Cutter, motion: Motion, file: str) -> str | None:
-    """Return a sentence if the start pose suggests that w is the first quaternion column, or None.
+    """Return a sentence if the start pose suggests that w is the first quaternion column.
 
-    The sentence is returned if the tool starts inside the bone, but would hardly overlap the bone
-    if w were the first column. A quaternion has unit length in both orders, so the order can only
-    be recognised from the position of the tool.
+    The result is None otherwise. The sentence is returned if the tool starts inside the bone, but
+    would hardly overlap the bone if w were the first column. A quaternion has unit length in both
+    orders, so the order can only be recognised from the position of the tool.
 
     Parameters
     ----------
@@ -410,7 +413,7 @@ def require_device(device: object, kind: str = "") -> None:
 def require_stated_rate(
     device: Device | SafeDevice, limits: DeviceParameters, *, remedy: str
 ) -> None:
-    """Refuse a device that is slower than assumed in the stability check.
+    """Raise an error if a device is slower than assumed in the stability check.
 
     The device may give its rate [samples per second] in its attribute ``limits`` or ``parameters``.
     Without these attributes, the device is assumed to have the rate in the argument `limits`.

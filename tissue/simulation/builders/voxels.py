@@ -58,7 +58,7 @@ MOST_KEPT = 1e7
 _volumes: Kept[VoxelVolume] = Kept(2)
 """Cached volumes of procedural bone, keyed by parameters, region and guide hole."""
 NO_SHAPE = {"kind", "guide_hole_diameter_mm", "guide_hole_depth_mm"}
-"""Keys of an anatomy that do not change its shape."""
+"""Keys of an anatomy that do not change the shape of the bone."""
 
 
 def volume_of(
@@ -216,7 +216,7 @@ def _covered(region: Corners, bone: Corners, spacing: float) -> Corners:
 
 
 def _require_memory(region: Corners, bone: Corners, spacing: float) -> None:
-    """Refuse a grid that does not fit in the free memory."""
+    """Raise an error if a grid of voxels does not fit in the free memory."""
     import psutil
 
     def needed(size: float) -> float:

@@ -124,8 +124,8 @@ class LiveSettings:
         InputError
             If the display does not respond, a page cannot be served or is requested with a real
             device, or the port for 3D Slicer is in use. The error is also raised if 3D Slicer and
-            another source would move the tool, ROS 2 is not installed, or the installed package
-            lacks a process of the live run.
+            another source would move the tool, ROS 2 is not installed, or the installed package has
+            no entry point for a process of the live run.
         """
         if self.slicer is not None:
             require_link(self.slicer, scene, web=self.opened is not None)
@@ -160,8 +160,9 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
     mouse. Trace and window show the forces that the replaced device would apply to the hand. In a
     scene without a device, the mouse replaces a device of kind ``touch``. A tick misses its
     deadline if it is not complete 1 ms after it was due. See `WallClock` for late ticks. The
-    priority of the ticks is raised as far as the system allows; see the note ``priority``. Ctrl-C
-    or closing the window ends the run. The function returns the run, like `tissue.simulate`.
+    priority of the ticks is raised as far as the system allows. The note ``priority`` of the run
+    reports the priority. Ctrl-C or closing the window ends the run. The function returns the run,
+    like `tissue.simulate`.
 
     Parameters
     ----------

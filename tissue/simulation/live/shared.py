@@ -70,8 +70,8 @@ class SharedArrays:
 
     Access to the arrays needs no system call.
 
-    The methods `write` and `read` are for arrays that must not be read during a write: `read` waits
-    until the write has ended. Only one of the processes may write an array.
+    The methods `write` and `read` are for arrays that must not be read during a write: `read` tries
+    again while a write is in progress. Only one of the processes may write an array.
 
     Parameters
     ----------
