@@ -132,7 +132,7 @@ class PassivityControl:
     Attributes
     ----------
     observer
-        Energy observer of the played force.
+        Observer of the energy of the force that is sent to the device.
     dissipated_J
         Energy that the controller has dissipated so far [J], computed with the predicted speeds.
     damping_N_s_m
@@ -153,7 +153,7 @@ class PassivityControl:
         self._places: deque[Array] = deque(maxlen=SPEED_TICKS + 1)
 
     def step(self, force_N: Array, position_m: Array, velocity_m_s: Array, step_s: float) -> Array:
-        """Return the force [N] to play instead of ``force_N``, for a step of ``step_s`` [s]."""
+        """Return the force [N] that replaces ``force_N`` in a step of ``step_s`` [s]."""
         observer = self.observer
         places = self._places
         energy = observer.observe(position_m)
@@ -333,7 +333,8 @@ class TurningRenderer:
     ) -> Array:
         """Return the torque on the device [N m].
 
-        The arguments are unit quaternions (x, y, z, w) and spins [rad/s].
+        The arguments are unit quaternions (x, y, z, w) and spins [rad/s] of device and proxy, and
+        the time step ``dt`` [s].
         """
         if self._before is not None:
             self._turned = self._turned + turn_between(self._before, device)

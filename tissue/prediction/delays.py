@@ -26,8 +26,8 @@ DELAYS = (0, 1, 2, 3, 4, 6, 8, 11, 14, 18, 22, 32, 46, 64, 80)
 The stretch of the coupling was predicted 4 ms ahead, for simulated hands that were not in the
 training data. The error ratio is the excess error divided by the excess error of the zero-order
 hold, as defined at the start of this module. With these delays, the error ratio is 0.32 in the
-scene molar, 0.40 in pedicle and 0.49 in incision. With all 81 delays from 0 to 80, it is 0.32, 0.41
-and 0.48, and with `PATH_DELAYS` 0.52, 0.47 and 0.52.
+scene molar, 0.40 in pedicle and 0.49 in incision. In the same scenes, the ratios are 0.32, 0.41 and
+0.48 with all 81 delays from 0 to 80, and 0.52, 0.47 and 0.52 with `PATH_DELAYS`.
 """
 PATH_DELAYS = (0, 4, 8, 14, 22, 32, 46, 64, 80)
 """Delays that are used to predict the displacement of the device [ticks].
@@ -233,12 +233,12 @@ class DelayPath:
         self._coordinates = coordinates(seen[:, 0], seen[:, 1])
 
     def displacement_m(self, ticks: float) -> Array:
-        """Predict the displacement, shape (3,), of the device from its last observed position."""
+        """Predict the displacement [m], shape (3,), of the device after a number of ticks."""
         displacement: Array = self._map(ticks)[0].dot(self._coordinates)
         return displacement
 
     def stretch_m(self, ticks: float) -> Array:
-        """Predict the stretch of the coupling, shape (3,), after a number of ticks."""
+        """Predict the stretch of the coupling [m], shape (3,), after a number of ticks."""
         stretch: Array = self._recent[0, 1] + self._map(ticks)[1].dot(self._coordinates)
         return stretch
 

@@ -21,11 +21,11 @@ The deviation is caused by the curvature of the law and by friction.
 DRIFT_PER_M = 50.0
 """Increase of the variance of an estimated slope per metre of motion.
 
-A slope is the stiffness of the tissue divided by the stiffness of the coupling. It counts as
-unknown when its variance reaches its square. A slope of 1 is unknown after 20 mm of motion, and a
-slope of 0.1 after 0.2 mm. Values from 0.5 to 500 were compared in the scene palpation, by the error
-ratio that is defined in `tissue.prediction.delays`. With values from 50 on, the error ratios are
-similar: 0.40 to 0.68. With a value of 0.5, the error ratio is 0.72.
+A slope is the stiffness of the tissue divided by the stiffness of the coupling. A slope counts as
+unknown when its variance reaches the square of the slope. A slope of 1 is unknown after 20 mm of
+motion, and a slope of 0.1 after 0.2 mm. Values from 0.5 to 500 were compared in the scene
+palpation, by the error ratio that is defined in `tissue.prediction.delays`. With values from 50 on,
+the error ratios are similar: 0.40 to 0.68. With a value of 0.5, the error ratio is 0.72.
 """
 JUMP_M = 5e-4
 """Change of force in a tick that counts as a jump, divided by the coupling stiffness [m].

@@ -17,9 +17,9 @@ The weight of the initial operator makes the fit solvable at rest. The fit then 
 initial operator.
 """
 SMOOTHED = 8
-"""Number of ticks before and after a target position over which a parabola smooths it.
+"""Number of ticks before and after a target position to which a parabola is fitted.
 
-The smoothing removes most of the effect of encoder steps.
+The target position is taken from the parabola, which removes most of the effect of encoder steps.
 """
 INTERVAL = 32
 """Number of ticks between two solutions of the fit, each of which takes 60 us."""

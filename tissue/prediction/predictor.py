@@ -79,11 +79,11 @@ class Contact:
     Attributes
     ----------
     spring_N_m
-        Stiffness of the coupling.
+        Stiffness of the coupling [N/m].
     tip_m
         Position of the tool [m], shape (3,). Without a force, this is the position of the device.
     force_N
-        Force of the tissue on the tool at this position, shape (3,).
+        Force of the tissue on the tool at this position [N], shape (3,).
     stiffness_N_m
         Stiffness -dF/dx of the tissue at the tool [N/m], shape (3, 3). None if the tissue does not
         provide its stiffness.
@@ -125,7 +125,7 @@ Values from 3 to 30 were compared. For predictions 4 to 8 ms ahead in recordings
 With a smaller value, an encoder step looks like a slope.
 """
 JERKINESS = 1e-3
-"""Variance of the third difference of the force, divided by the variance of its noise.
+"""Variance of the third difference of the force, divided by the variance of the force noise.
 
 `Kalman` uses this ratio. In recordings of the scene `wall`, values from 1e-8 to 1e-2 were compared,
 and this value gave the smallest error.

@@ -304,7 +304,7 @@ class Thrust:
         return aim + self.stretch_m * self.path_m / sqrt(self.path_m @ self.path_m)
 
     def push(self, time_s: float) -> Array:
-        """Return the intended force at a time [N]."""
+        """Return the intended force [N], shape (3,), at a time [s]."""
         if self.share == 1.0:
             return np.zeros(3)
         force: Array = self.push_N * self.path_m / sqrt(self.path_m @ self.path_m)

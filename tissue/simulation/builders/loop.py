@@ -97,8 +97,7 @@ class LoopSettings:
 
     @property
     def coupling(self) -> Coupling:
-        """Scene table of the coupling, with stiffness, scales, latency and rate of the tissue
-        model."""
+        """Scene table of the coupling: stiffness, scales, latency and rate of the tissue model."""
         return self.held.coupling
 
     @cached_property
