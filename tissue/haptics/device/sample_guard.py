@@ -149,7 +149,7 @@ HALF_TURN = 1e-3
 """Largest difference of the first quaternion component from 1 that is treated as a half-turn.
 
 The first component must be x. If a device gives w first, its start orientation looks like a
-half-turn about x. An error is therefore reported for such a start. The tolerance allows for a start
+half-turn about x. Such a start is therefore listed in the events. The tolerance allows for a start
 orientation of up to 5 degrees.
 """
 UNIT = " (positions must be in metres)"

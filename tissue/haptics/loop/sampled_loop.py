@@ -46,7 +46,7 @@ class WallLoop:
         position over a model step divided by the duration of the step. A forecast then uses the
         change of position over a tick.
     observes
-        True if the filter for v also estimates the position x. Requires `velocity_memory`.
+        True if x is the position that the filter for v estimates. Requires `velocity_memory`.
     tick_s
         Time between two forces at the device [s]. For a slow device, this is the time between two
         samples.

@@ -29,7 +29,10 @@ from tissue.simulation.builders.voxels import is_procedural, solid_of, structure
 MARGIN_M = 10e-3
 """Assumed margin around the scripted motion [m], because a hand may leave the path."""
 POINTS_ACROSS = 12.0
-"""Tool radius divided by the distance between drawn points of the tool; chosen by judgement."""
+"""Tool radius divided by the distance between points on the tool's surface.
+
+Pictures use these points. The value was chosen by judgement.
+"""
 
 
 def keep_clear(
