@@ -1,4 +1,4 @@
-"""Names and indices of the trace columns of a device, a prediction and a perception model."""
+"""Trace columns of a haptic device, of force prediction, and of a perception model."""
 
 MEASURES = (
     *(f"device_{c}_mm" for c in "xyz"),
@@ -13,17 +13,17 @@ MEASURES = (
 )
 """Trace columns of a device.
 
-The order is: pose of the device [mm, quaternion]; played force [N] and torque [N m]; filtered force
-before it is scaled into the device's range [N at the device]; 1 if the range compressed the force
-or the torque; energy taken from the device [J]; stability margin, 1 minus the ratio of the
-stiffness to the critical stiffness; raw force of the renderer, before prediction, filter and delay
-[N].
+The order is: pose of the device [mm, quaternion]; force [N] and torque [N m] sent to the device;
+force at the device before it is compressed into the device's range [N]; 1 if the range compressed
+the force or the torque, otherwise 0; energy taken from the device [J]; stability margin, which is 1
+minus the stiffness divided by the critical stiffness; force of the renderer before prediction,
+filter and delay [N].
 """
 PREDICTED = (*(f"predicted_force_{c}_N" for c in "xyz"), "prediction_residual_N", "predicted_by")
 """Trace columns of a prediction.
 
 The columns are the predicted force, the magnitude of the last prediction error for one tick ahead,
-and the source of the prediction. The source is 1 for the predictor, and 0 for its fallback.
+and the source of the prediction: 1 for the predictor, 0 for its fallback.
 """
 PERCEIVED = ("estimated_force_N", "perceived", "perceived_spread", "above_threshold")
 """Trace columns of a perception model; see `tissue.perception.Perception`."""
@@ -33,18 +33,21 @@ VIBRATION = tuple(f"vibration_{c}_N" for c in "xyz")
 The vibration is part of the device force. No other force column contains the vibration.
 """
 CUE = tuple(f"cue_{c}_N" for c in "xyz")
-"""Trace columns of the event cues, short transients that are part of the device force."""
-TRUE = tuple(f"device_true_{c}_mm" for c in "xyz")
-"""Trace columns of the true device position, for devices that know it.
+"""Trace columns of cues: short force transients at contacts and punctures.
 
-The encoders quantise this position.
+The device force includes the cues.
+"""
+TRUE = tuple(f"device_true_{c}_mm" for c in "xyz")
+"""Trace columns of the true device position, before it is quantised by the encoders.
+
+The columns exist only for devices that provide their true position, such as simulated devices.
 """
 HAND_FORCE = tuple(f"hand_force_{c}_N" for c in "xyz")
 """Trace columns of the mean force of the device on the hand in the previous tick.
 
 These columns exist only for devices that know their true position. The force is the motor force
-after latency, range and amplifier, minus the friction of the device and the force that accelerates
-the device's own mass.
+minus the friction of the device and minus the force that accelerates the device's own mass. The
+motor force is the force after latency, limits and amplifier.
 """
 
 POSITION = slice(0, 3)

@@ -1,4 +1,4 @@
-"""Motion of a tool held on a haptic device: each tick reads a sample and plays a force."""
+"""Motion of a tool on a haptic device: each tick reads a sample and commands a force."""
 
 from dataclasses import dataclass
 from math import pi, sqrt
@@ -23,7 +23,9 @@ from tissue.prediction.predictor import Contact, Predictor, SeesContact
 
 SMOOTH_S = 0.01
 SMOOTH_SAMPLES = 5
-"""Smallest time [s] and number of samples for averaging the speed of a tool without inertia.
+"""Smallest averaging time of the speed of a tool without inertia.
+
+`SMOOTH_S` is this time in seconds, and `SMOOTH_SAMPLES` in samples of the device.
 
 Speeds are averaged because encoder positions change in steps. One encoder step of a Touch (0.055
 mm) is a speed of 55 mm/s over a tick of 1 ms, and of 5.5 mm/s over 10 ms. For a device below 500
@@ -33,34 +35,34 @@ Hz, the number of samples determines the averaging time.
 
 @dataclass(frozen=True, kw_only=True)
 class Rendering:
-    """Force rendering: stages from the positions of device and tool to the played force.
+    """Stages of force rendering, from the positions of device and tool to the device force.
 
     Attributes
     ----------
     law
-        Law that renders the force at the device from the positions of device and tool [N].
+        Law that computes the force at the device [N] from the positions of device and tool.
     loop
-        Loop of device and law. Its delay is used to compute the energy, and its filters are applied
-        to force and velocity. Without a velocity filter, the velocity of the sample is used. The
-        tick of the loop is the time between two samples of the device.
+        Loop of the device and the law. The energy is computed with the delay of the loop, and force
+        and velocity pass the filters of the loop. Without a velocity filter, the velocity in the
+        sample is used. The tick of the loop is the time between two samples of the device.
     margin
         Stability margin: 1 minus the ratio of the stiffness to the critical stiffness.
     turning_law
-        Law that renders the torque at the device [N m]; None for a device without torque.
+        Law that computes the torque at the device [N m]; None for a device without torque.
     delay_ticks
         Number of ticks by which the force is delayed in software.
     model_ticks
         Number of ticks for which one response of the tissue is used.
     predictor
-        Predictor of the force; None plays the present force.
+        Predictor of the force. With None, the present force is used.
     lead_ticks
         Prediction horizon [ticks].
     prediction_gain
         Share of the difference between predicted and present force that is added to the present
         force.
     played
-        Last stages before the device, such as perceptual scaling and vibration. By default, only
-        the device's limits are applied.
+        Last stages before the device, such as perceptual scaling and vibration. By default, the
+        force is only limited to the range of the device.
     """
 
     law: Renderer
@@ -77,12 +79,12 @@ class Rendering:
 
 @dataclass(frozen=True, kw_only=True)
 class Script:
-    """Scripted motion of a simulated hand on a device.
+    """Scripted motion of the tool, and its relation to the motion of the device.
 
     Attributes
     ----------
     motion
-        Motion with start, orientation, region and duration.
+        Scripted motion, which gives the start, the orientation, the region and the duration.
     motion_scale
         Metres at the tool for each metre at the device.
     stray_m
@@ -102,43 +104,42 @@ class Script:
 
 
 class HandMotion(Motion):
-    """Tool coupled to a haptic device, and the force that the device plays.
+    """Motion of a tool that is coupled to a haptic device, and force on the device.
 
     Each tick has these steps:
 
     1. Validate the device sample.
-    2. Move the tool towards the device. A tool that cuts is moved to the balance of its inertia,
-       its coupling and the tissue. Any other tool moves as far as the response of the last tick
-       allows.
-    3. Compute the tissue response. A free tool without inertia that has entered the tissue is moved
-       back within the tick.
+    2. Move the tool towards the device. A tool that cuts moves to the pose where the forces of its
+       inertia, the coupling and the tissue balance. Any other tool moves to the balance computed
+       with the response of the last tick.
+    3. Compute the tissue response. If a free tool without inertia has entered the tissue, it is
+       moved again within the tick.
     4. Render the force from the positions of device and tool.
     5. Apply prediction, low-pass, delay and perceptual scaling, then limit the force and its slew
        rate.
 
-    The played force therefore depends on the sample of its own tick. Without a valid sample the
-    tool rests, the renderer pauses and the force fades to zero. If a tissue responds only every
-    ``model_ticks`` ticks, tool and rendered force are unchanged in between. A predictor then uses
-    only the motion of the device.
+    The force in a tick therefore depends on the sample of the same tick. Without a valid sample,
+    the tool rests, the renderer pauses, and the force fades to zero. If a tissue responds only
+    every ``model_ticks`` ticks, the tool and the rendered force do not change in the other ticks.
+    In these ticks, a predictor uses only the motion of the device.
 
-    Tool and device start at the same position. From there, the tool moves ``motion_scale`` metres
-    for each metre of the device. With a device that plays torque, a rotational spring also couples
-    the tool to the device. The torque of the tissue turns the tool. For a tool that does not cut,
-    the torque of the last tick is used. The low-pass and the delay are applied to the rendered
-    torque before it is played.
+    Tool and device start at the same position. The tool then moves ``motion_scale`` metres for each
+    metre of the device. If the device can apply torque, a rotational spring also couples the tool
+    to the device, and the torque of the tissue turns the tool. For a tool that does not cut, this
+    torque is from the last tick. The rendered torque also passes the low-pass and the delay.
 
     Parameters
     ----------
     device
-        Device in the hand.
+        Device that the hand holds.
     tool
-        Law of the tool's force balance.
+        Tool that follows the device, see `HeldTool`.
     limits
         Largest force and torque of the device, and largest rates of change.
     rendering
-        Stages from the positions of device and tool to the played force.
+        Stages from the positions of device and tool to the force at the device.
     script
-        Scripted motion, and largest distance of the tool from it.
+        Scripted motion of the tool.
     """
 
     def __init__(
@@ -224,8 +225,8 @@ class HandMotion(Motion):
     def device(self) -> Device:
         """Device that the hand moves.
 
-        Set another device only before the first tick, because a new device also replaces the sample
-        guard and the measures.
+        Another device may be set only before the first tick, because the sample guard and the
+        measures are then replaced, too.
         """
         return self.held.device
 
@@ -263,13 +264,13 @@ class HandMotion(Motion):
         return turns if self._stray == 0.0 else np.concatenate([turns] * 5)
 
     def meet(self, tissue: TissueModel) -> None:
-        """Set the tissue in which a tool that cuts moves."""
+        """Set the tissue that a cutting tool cuts."""
         tissue = getattr(tissue, "milling", tissue)
         if isinstance(self.tool, CuttingTool) and isinstance(tissue, CutTissue):
             self.tool.meet(tissue, self._start)
 
     def begin(self, motion: ToolMotion) -> None:
-        """Begin at the start of the scripted motion."""
+        """Place the tool at the start of the scripted motion."""
         self._scripted.begin(motion)
         motion.balanced = self.tool.wrench
         self.measures[at.POSITION] = 1e3 * motion.tip_m
@@ -300,7 +301,10 @@ class HandMotion(Motion):
             self._follow(sample, response, motion)
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Move a free tool that has entered the tissue to its force balance."""
+        """Move a free tool that has entered the tissue to its force balance.
+
+        The method returns True if it has moved the tool.
+        """
         if self._sample is None or not self.tool.lands(response):
             return False
         self._follow(self._sample, response, motion)
@@ -322,7 +326,7 @@ class HandMotion(Motion):
     def _observe(self, sample: Sample) -> None:
         """Update position and velocity of the device from a sample.
 
-        For a tool that cuts, the loop's filter estimates position and velocity.
+        For a tool that cuts, position and velocity are estimated with the filter of the loop.
         """
         self._here[:] = sample.position_m
         velocity = self._device_velocity
@@ -338,7 +342,7 @@ class HandMotion(Motion):
         velocity[:3] *= self._scale
 
     def play(self, response: Response) -> None:
-        """Compute and command the force for the sample of this tick."""
+        """Compute the force for the sample of this tick, and send the force to the device."""
         wanted = None
         torque = None
         compressed = False
@@ -394,11 +398,11 @@ class HandMotion(Motion):
         row[at.ENERGY] = self.observer.energy_J
 
     def contact(self, response: Response) -> Contact:
-        """Convert the contact at the tool to the contact at the device.
+        """Return the contact of the tool, converted to lengths and forces at the device.
 
-        Lengths at the device are lengths at the tool divided by the scale m of the motion. Forces
-        at the device are f times the forces at the tool. Here f = k / (m k_tool), where k is the
-        stiffness of the coupling at the device, and k_tool the stiffness of the tool's spring.
+        Lengths at the device are lengths at the tool divided by m, the motion scale. Forces at the
+        device are f times the forces at the tool. Here f = k / (m k_tool), where k is the stiffness
+        of the coupling at the device, and k_tool the stiffness of the tool's spring.
         """
         tool = self.tool
         scale = self._scale
@@ -416,9 +420,9 @@ class HandMotion(Motion):
         )
 
     def raw_force_N(self) -> Array:
-        """Return the rendered force of a tick without playing it, shape (3,).
+        """Return the rendered force of this tick [N], shape (3,), without sending it to the device.
 
-        Without a valid sample it is the force of the last tick.
+        Without a valid sample, the result is the force of the last tick.
         """
         if self._sample is not None:
             self._render(self._sample)
@@ -450,7 +454,7 @@ class HandMotion(Motion):
                 part.pause()
 
     def _pause(self) -> None:
-        """Reset the parts that depend on consecutive device samples."""
+        """Reset filters, renderer and predictor after missing samples."""
         self._pause_filters()
         for part in (
             self.law,
@@ -468,8 +472,8 @@ class HandMotion(Motion):
     def _set_speed(self, motion: ToolMotion, went_m_s: Array) -> None:
         """Write the direction of motion and the speed of the tool.
 
-        A tool with inertia has a velocity. For any other tool the speed is estimated from the
-        motion.
+        The velocity of a tool with inertia is known. For any other tool, the speed is estimated
+        from the change of position.
         """
         velocity = self.tool.velocity
         if velocity is None:

@@ -1,4 +1,4 @@
-"""Force rendering laws between a device and its proxy, with one interface."""
+"""Force laws between a haptic device and its proxy, which share one interface."""
 
 from collections import deque
 from collections.abc import Callable
@@ -13,50 +13,53 @@ from tissue.motion.quaternion import Quaternion, turn_between
 from tissue.scene.registry import RENDERERS
 
 SPEED_TICKS = 3
-"""Number of ticks over which the passivity controller averages the speed.
+"""Number of ticks over which `PassivityControl` averages the speed.
 
-The value is chosen. `tissue.haptics.rigid_wall.knock` was run on a Touch and on a six-DOF device,
-with latencies up to 8 ms. No other value from 1 to 8 is better in all of these runs.
+The value was chosen from runs of `tissue.haptics.rigid_wall.knock` on a Touch and on a six-DOF
+device, with latencies up to 8 ms. No other value from 1 to 8 is better in all of these runs.
 """
 RELEASE_M_S = (0.03, 0.1)
 RELEASE_RAD_S = (1.2, 4.0)
-"""Outward speeds between which the removable share of a torque rises from 0 to 1 [rad/s].
+"""Outward speeds [rad/s] between which the removable share of a torque rises from 0 to 1.
 
-This share may be removed in addition to the damper of `PassivityControl`. `RELEASE_M_S` has the
-corresponding speeds for a force [m/s].
+`PassivityControl` may remove this share of a torque in addition to its damper. `RELEASE_M_S` has
+the corresponding speeds for a force [m/s].
 
 The values are far above the apparent speed caused by an encoder step, and above the speed of a hand
 that rests on a virtual wall. The rotational values correspond to the speeds of `RELEASE_M_S` at a
 radius of 25 mm.
 """
 LEAST_N = 1e-6
-"""Force that is treated as zero [N], because the output of a low-pass never reaches zero."""
+"""Force below which a force is treated as zero [N].
+
+The output of a low-pass never reaches zero exactly.
+"""
 STILL = 1e-6
-"""Speed below which no energy can be dissipated [m/s]; it avoids a division by zero."""
+"""Speed below which `PassivityControl` dissipates no energy [m/s], to avoid a division by zero."""
 
 
 class PassivityObserver:
-    """Observer of the energy taken from the device, exact for a zero-order hold of the force.
+    """Observer of the energy that a sampled force takes from a device.
 
     If a force F on the device is constant while the device moves by dx, the force takes the energy
     -F . dx from the device. In every tick, the observer adds this energy for the force of the last
-    tick and the displacement since then. The sum is exact and includes the energy that the
-    zero-order hold creates. For example, a device enters a spring of stiffness K and leaves it,
-    both at speed v. For each tick T of the entry, the spring then returns K (v T)^2 more energy
-    than it took. Half of this energy arises on entry, and half on exit. A delayed force acts during
-    a later displacement. If the delay is known, the sum is exact for delayed forces, too.
+    tick and the displacement since that tick. The sum has no approximation error, and includes the
+    energy that the zero-order hold creates. For example, a device enters a spring of stiffness K
+    and leaves it, both at speed v. For each tick T of the entry, the spring then returns K (v T)^2
+    more energy than it took. Half of this energy arises on entry, and half on exit. A delayed force
+    acts during a later displacement. If its delay is known, the sum is also correct.
 
     Parameters
     ----------
     delay_ticks
-        Delay from the sample to the force at the motor, in addition to the hold [ticks]; any real
-        number.
+        Delay from the sample to the force at the motor, in addition to the zero-order hold [ticks].
+        The delay need not be a whole number.
 
     Attributes
     ----------
     energy_J
-        Energy taken from the device so far [J]. If it is negative, the environment has created
-        energy.
+        Energy taken from the device so far [J]. A negative value means that the virtual environment
+        has created energy.
     """
 
     def __init__(self, *, delay_ticks: float = 0.0) -> None:
@@ -69,7 +72,7 @@ class PassivityObserver:
         self._forces: deque[Array] = deque([np.zeros(3)] * (whole + 2), maxlen=whole + 2)
 
     def observe(self, position_m: Array) -> float:
-        """Add the work of the acting forces up to this position [m]; return the energy [J]."""
+        """Add the work of the forces that acted up to this position [m]; return the energy [J]."""
         if self._position is not None:
             moved = position_m - self._position
             self.energy_J -= (1.0 - self._delay) * float(self._forces[1].dot(moved))
@@ -78,13 +81,13 @@ class PassivityObserver:
         return self.energy_J
 
     def hold(self, force_N: Array) -> None:
-        """Record the force [N] that is sent now."""
+        """Record the force [N] that is sent to the device now."""
         self._forces.append(np.array(force_N))
 
     def pause(self) -> None:
         """Ignore the motion up to the next sample, and clear the pending forces.
 
-        Call it after missing samples.
+        Call this method after missing samples.
         """
         self._position = None
         self._forces.extend([np.zeros(3)] * len(self._forces))
@@ -100,22 +103,22 @@ class PassivityObserver:
 
 
 class PassivityControl:
-    """Controller that dissipates energy that an environment would create or has created.
+    """Controller that dissipates the energy that a virtual environment creates.
 
     A new force acts after the pending forces, which were sent earlier. Until then, the pending
     forces F push the device. The speed of the device along the force is therefore predicted as v +
-    sum F T / m, with the tick T and the device's own mass m. v is the mean speed over the last
-    ticks, because encoder positions change in steps. The predicted speed overestimates the motion
-    of a device that a hand holds. At the predicted speeds, the outward work of the pending forces
-    and the new force must not exceed the observed energy E. An excess is dissipated by a damper,
-    which adds a force -d v to the new force. The damper also dissipates an energy debt (a negative
-    E) while the device moves in. d has an upper bound, because a sampled damper is unstable above m
-    / T. If the device moves out fast, more may be removed, up to the whole new force. Near zero
-    speed no energy can be dissipated, and the debt remains.
+    sum F T / m, with the tick T and the device's own mass m. Here v is the mean speed over the last
+    ticks, because encoder positions change in steps. For a device in a hand, the predicted speed is
+    too large. At the predicted speeds, the outward work of the pending forces and of the new force
+    must not exceed the observed energy E. A damper dissipates an excess: it adds a force -d v to
+    the new force. While the device moves inward, the damper also dissipates an energy debt (a
+    negative E). The damping d has an upper bound, because a sampled damper is unstable above m / T.
+    If the device moves outward fast, a larger part of the new force may be removed, up to the whole
+    force. Near zero speed, no energy can be dissipated, and the debt remains.
 
-    If neither the new force nor a pending force acts, the environment stores no energy: the energy
-    that it took from the device has been dissipated. The observed energy is then set to zero, so
-    that a later contact cannot use it. An energy debt is kept.
+    If there is neither a new force nor a pending force, the environment stores no energy. The
+    observed energy is then set to zero, so that a later contact cannot use this energy. An energy
+    debt is kept.
 
     Parameters
     ----------
@@ -124,18 +127,19 @@ class PassivityControl:
     delay_ticks
         See `PassivityObserver`.
     mass_kg
-        Mass that the forces move [kg]; infinite if the forces do not change the motion.
+        Apparent mass m of the device [kg]; infinite if the forces do not change the motion.
 
     Attributes
     ----------
     observer
-        Energy observer of the played force.
+        Observer of the energy of the force that is sent to the device.
     dissipated_J
-        Energy that the controller has dissipated so far, at the predicted speeds [J].
+        Energy that the controller has dissipated so far [J], computed with the predicted speeds.
     damping_N_s_m
-        Force removed in the last step divided by the predicted speed [N s/m].
+        Force removed in the last step, divided by the predicted speed [N s/m].
     release_speeds
-        Outward speeds between which the share of the force that may be removed rises from 0 to 1.
+        Outward speeds between which the removable share of the force rises from 0 to 1; see
+        `RELEASE_RAD_S`.
     """
 
     def __init__(
@@ -149,7 +153,7 @@ class PassivityControl:
         self._places: deque[Array] = deque(maxlen=SPEED_TICKS + 1)
 
     def step(self, force_N: Array, position_m: Array, velocity_m_s: Array, step_s: float) -> Array:
-        """Return the force [N] to play instead of ``force_N``, for a step of ``step_s`` [s]."""
+        """Return the force [N] that replaces ``force_N`` in a step of ``step_s`` [s]."""
         observer = self.observer
         places = self._places
         energy = observer.observe(position_m)
@@ -186,9 +190,9 @@ class PassivityControl:
     def pause(self) -> None:
         """Reset after missing samples, because the motion up to the next sample is unknown.
 
-        While samples are missing, the force fades, and it returns slowly. The device therefore
-        gives less energy on entry into a wall than the observer adds. The energy taken so far is
-        set to zero, so that it cannot be released on exit from the wall.
+        While samples are missing, the force fades, and afterwards it returns slowly. On entry into
+        a wall, the device therefore loses less energy than the observer adds. The observed energy
+        is set to zero, so that it cannot be released on exit from the wall.
         """
         self.observer.pause()
         self.observer.energy_J = min(self.observer.energy_J, 0.0)
@@ -203,9 +207,9 @@ class Renderer(Protocol):
     ) -> Array:
         """Return the force on the device [N], shape (3,).
 
-        The arguments are positions [m], velocities [m/s] and the time step ``dt`` [s]. If device
-        and proxy have the same position, the device is free and the force is zero. For a rotation,
-        the positions are rotation vectors [rad] and the force is a torque [N m].
+        The arguments are positions [m] and velocities [m/s] of device and proxy, and the time step
+        ``dt`` [s]. If both positions are equal, the device is free and the force is zero. For a
+        rotation, the positions are rotation vectors [rad] and the force is a torque [N m].
         """
 
     def pause(self) -> None:
@@ -221,7 +225,7 @@ class SpringDamper:
 
     @classmethod
     def of(cls, loop: WallLoop) -> Self:
-        """Return the law with stiffness and damping of a loop's wall."""
+        """Return the law with the stiffness and the damping of the wall in a loop."""
         return cls(loop.stiffness_N_m, loop.wall_damping_N_s_m)
 
     def pause(self) -> None:
@@ -229,12 +233,12 @@ class SpringDamper:
 
 
 class PenaltyRenderer(SpringDamper):
-    """Spring and damper between the device and the nearest point of the surface.
+    """Spring and damper between the device and the nearest point of the surface (its proxy).
 
     The law is F = k d - b (v . n) n, with stiffness k, damping b and device velocity v. d is the
     vector from the device to the surface, and n = d / |d|. The damper acts on the velocity of the
-    device along d. It therefore also damps a device that moves together with the surface. The force
-    never pulls into the surface.
+    device along d. A device that moves together with the surface is therefore also damped. The
+    force never pulls into the surface.
     """
 
     def render(
@@ -252,9 +256,9 @@ class PenaltyRenderer(SpringDamper):
 class ProxyRenderer(SpringDamper):
     """Spring and damper between device and god-object (Colgate et al. 1995).
 
-    The law is F = k (p_proxy - p) + b (v_proxy - v). The damper acts on the relative velocity, so
-    that the damper can only dissipate energy. A published form of the law has only ``+ b v_device``
-    as damper, which creates the power b v^2. The damper is off while the device is free.
+    The law is F = k (p_proxy - p) + b (v_proxy - v). The damper acts on the relative velocity and
+    can therefore only dissipate energy. In a published form of the law, the damper is ``+ b
+    v_device``, which creates the power b v^2. There is no damping while the device is free.
     """
 
     def render(
@@ -269,11 +273,11 @@ class ProxyRenderer(SpringDamper):
 
 
 class PassivityRenderer:
-    """Renderer with a passivity observer and a passivity controller.
+    """Renderer that applies `PassivityControl` to the force of another renderer.
 
-    The net energy given to the device was measured at the motors, on virtual walls of up to 1.5
-    kN/m with latencies of up to 8 ms. It never exceeded 0.3 mJ. The observer does not see a force
-    that fades while samples are missing. Energy taken before missing samples is not counted.
+    On virtual walls of up to 1.5 kN/m with latencies of up to 8 ms, the net energy given to the
+    device at its motors never exceeded 0.3 mJ. Energy taken before missing samples, or during the
+    fading of the force while samples are missing, is not counted.
     """
 
     def __init__(
@@ -299,17 +303,17 @@ class PassivityRenderer:
     def pause(self) -> None:
         """Ignore the energy of the motion up to the next sample.
 
-        The reason is that another force was played during this motion.
+        The reason is that the device received another force during this motion.
         """
         self.control.pause()
 
 
 class TurningRenderer:
-    """Force law applied to a rotation.
+    """Renderer that applies a force law to rotations and returns a torque.
 
-    The distance is the shortest rotation vector from the device to its proxy. The rotations of the
-    device in all ticks are summed as rotation vectors, so that a passivity observer in the inner
-    law can compute the work of the torque.
+    The distance in the law is the shortest rotation vector from the device to its proxy. The
+    position in the law is the sum of the device's rotation vectors over all ticks. With this sum, a
+    passivity observer can compute the work of the torque.
     """
 
     def __init__(self, inner: Renderer) -> None:
@@ -329,7 +333,8 @@ class TurningRenderer:
     ) -> Array:
         """Return the torque on the device [N m].
 
-        The arguments are unit quaternions (x, y, z, w) and spins [rad/s].
+        The arguments are unit quaternions (x, y, z, w) and spins [rad/s] of device and proxy, and
+        the time step ``dt`` [s].
         """
         if self._before is not None:
             self._turned = self._turned + turn_between(self._before, device)
@@ -338,15 +343,15 @@ class TurningRenderer:
         return self._inner.render(self._turned, device_spin, self._turned + gap, proxy_spin, dt)
 
     def pause(self) -> None:
-        """Reset the inner law."""
+        """Reset the force law."""
         self._inner.pause()
 
 
 def passivity(loop: WallLoop) -> PassivityRenderer:
-    """Return the penalty law of a loop's wall with a passivity controller.
+    """Return a renderer with a penalty law and a passivity controller for the wall of a loop.
 
-    The loop provides the mass m, the tick T and the lag (delay, filter and amplifier). The damping
-    limit is half of m / (T + lag).
+    The damping limit of the controller is half of m / (T + lag). The mass m, the tick T, and the
+    lag (delay, filter and amplifier) are those of the loop.
     """
     lag = loop.delay_s + loop.filter_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
     limit = 0.5 * loop.mass_kg / (loop.tick_s + lag)

@@ -1,8 +1,8 @@
-"""Simulated hand that presses a device onto a rigid virtual wall, without a tissue.
+"""Simulation of a hand that presses a haptic device onto a rigid virtual wall.
 
-The run has its own loop of ticks, with neither a tool nor a tissue. A tick is one sampling period
-of the device. The stepper of `tissue.simulation` is not used, because it is in a higher layer and
-moves a tool through a tissue in ticks of 1 ms.
+The simulation has its own loop, with neither a tool nor a tissue. A tick of this loop is one
+sampling period of the device. The loop of `tissue.simulation` is not used, because it always moves
+a tool through a tissue in ticks of 1 ms.
 """
 
 from dataclasses import dataclass, replace
@@ -20,25 +20,26 @@ from tissue.haptics.renderer import Renderer, renderer
 from tissue.models.tissue_model import TICK_S
 
 DEPTH_M = 5e-3
-"""Height of the start position above the wall, and depth of the hand's target below it [m]."""
+"""Height of the start position above the wall, and depth of the hand's target in the wall [m]."""
 JERK_N = 2.0
-"""Force of the jerk [N].
+"""Force with which the hand is jerked away from the wall [N].
 
-On a Touch at 400 N/m, the jerk moves a hand by 2 mm, from inside the wall to its surface.
+On a Touch with a wall of 400 N/m, the jerk moves the hand by 2 mm, from inside the wall to its
+surface.
 """
 JERK_S = (0.8, 0.82)
 LASTS_S = 1.3
-"""End of the run [s]; `JERK_S` has the start and the end of the jerk [s].
+"""End of the simulation [s]; `JERK_S` contains the start and the end of the jerk [s].
 
 At 0.7 s, simulated hands of all groups rest on the wall. A stable loop is at rest again 0.2 s after
-the jerk. Motion in the last 0.3 s is therefore caused by the loop.
+the jerk. Motion in the last 0.3 s therefore shows an oscillation of the loop.
 """
 
 
 @suggests_arguments
 @dataclass(frozen=True)
 class WallRun:
-    """Record of a run of n ticks on the wall z = 0, whose free side is z > 0.
+    """Record of n ticks of a device on the wall z = 0, with free space at z > 0.
 
     Attributes
     ----------
@@ -50,8 +51,8 @@ class WallRun:
     force_N
         Force commanded to the device in each tick [N], shape (n, 3).
     taken_J
-        Energy that the loop has taken from the device up to each tick [J], shape (n,). It is
-        computed from the sampled positions.
+        Energy that the loop has taken from the device up to each tick [J], shape (n,), computed
+        from the sampled positions.
     """
 
     time_s: Array
@@ -74,12 +75,12 @@ def press_wall(
     tick_s: float = TICK_S,
     guard: SampleGuard | None = None,
 ) -> WallRun:
-    """Run the loop of device, proxy, renderer and guard on a rigid wall for ``duration_s``.
+    """Run a device on a rigid virtual wall, with a given renderer.
 
-    The proxy of a free device is at the device. Inside the wall, the proxy is the projection of the
-    device onto the plane, and its velocity is the component of the device's velocity along the
-    plane. Without a guard, every sample is valid, and a missing sample gives zero force. However
-    the run ends, the last force is zero.
+    Outside the wall, the proxy is at the position of the device. Inside the wall, the proxy is the
+    projection of the device onto the plane, and its velocity is the component of the device's
+    velocity along the plane. Without `guard`, every sample is treated as valid, and the force is
+    zero if a sample is missing. The last commanded force is always zero.
     """
     ticks = round(duration_s / tick_s)
     position, velocity, force = np.zeros((3, ticks, 3))
@@ -126,8 +127,8 @@ def knock(
 ) -> tuple[WallRun, SimulatedDevice]:
     """Simulate a hand that moves 5 mm into a wall and is jerked away from the wall.
 
-    The jerk is a force of 2 N for 20 ms after 0.8 s. The hand has no noise and no tremor. Motion
-    after the jerk is therefore caused by the loop.
+    The jerk is a force of 2 N for 20 ms, after 0.8 s. The hand has no noise and no tremor, so that
+    motion after the jerk is caused by the loop.
     """
     quiet = replace(hand, endpoint_noise=0.0, force_noise=0.0, tremor_m=0.0)
     # The target jumps within one tick. The hand follows it with a smooth movement.

@@ -1,4 +1,5 @@
 """Prediction of force and state some milliseconds ahead.
 
-The package has linear operators on delay coordinates, and simple predictors as baselines.
+The package contains predictors with linear operators on previous samples (delay coordinates), and
+simple predictors as baselines.
 """

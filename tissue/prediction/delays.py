@@ -1,11 +1,12 @@
-"""Delay-coordinate (Hankel) Koopman operator of a device and its coupling.
+"""Delay-coordinate (Hankel) Koopman operator that predicts the motion of a haptic device.
 
-The coordinates are a delay embedding (Takens 1981) of the displacement of the device and the
-stretch of the coupling. For each number of ticks ahead, a linear map is fitted directly (Brunton,
-Brunton, Proctor, Kaiser & Kutz 2017). Powers of the map for one tick had a larger error. Errors e
-are compared as excess errors sqrt(e^2 - e0^2), where e0 is the lower bound of the error. The excess
-error is divided by the excess error of the zero-order hold. For predictions 4 ms ahead in the scene
-`wall`, this ratio is 0.22 with powers and 0.19 with direct maps (nine delays).
+The coordinates are a delay embedding (Takens 1981) of two vectors: the displacement of the device,
+and the stretch of the coupling spring between device and tool. For each number of ticks ahead, a
+linear map is fitted directly (Brunton, Brunton, Proctor, Kaiser & Kutz 2017). Powers of the map for
+one tick had larger errors. To compare errors e, excess errors sqrt(e^2 - e0^2) are computed, where
+e0 is the lower bound of the error. The error ratio is the excess error divided by the excess error
+of the zero-order hold. For predictions 4 ms ahead in the scene `wall` with nine delays, the error
+ratio is 0.22 with powers and 0.19 with direct maps.
 """
 
 from collections.abc import Iterable
@@ -22,54 +23,57 @@ from meshes.base.errors import InputError
 DELAYS = (0, 1, 2, 3, 4, 6, 8, 11, 14, 18, 22, 32, 46, 64, 80)
 """Delays of the coordinates [ticks].
 
-These delays replace all 81 delays from 0 to 80. The stretch was predicted 4 ms ahead by direct
-regression, for simulated hands that were not in the training data. The excess error was divided by
-the excess error of the zero-order hold. With these delays, the ratios are 0.32 in molar, 0.40 in
-pedicle and 0.49 in incision. With all 81 delays, the ratios are 0.32, 0.41 and 0.48, and with
-`PATH_DELAYS` 0.52, 0.47 and 0.52.
+The stretch of the coupling was predicted 4 ms ahead, for simulated hands that were not in the
+training data. The error ratio is the excess error divided by the excess error of the zero-order
+hold, as defined at the start of this module. With these delays, the error ratio is 0.32 in the
+scene molar, 0.40 in pedicle and 0.49 in incision. In the same scenes, the ratios are 0.32, 0.41 and
+0.48 with all 81 delays from 0 to 80, and 0.52, 0.47 and 0.52 with `PATH_DELAYS`.
 """
 PATH_DELAYS = (0, 4, 8, 14, 22, 32, 46, 64, 80)
-"""Delays from which the displacement is predicted [ticks].
+"""Delays that are used to predict the displacement of the device [ticks].
 
-At shorter delays, the displacement is smaller than an encoder step. The excess error of `LookAhead`
-4 ms ahead in palpation was divided by the excess error of the zero-order hold. This ratio is 0.31
-with these delays and 0.33 with all of `DELAYS`.
+Between closer delays, the displacement is smaller than an encoder step. For `LookAhead` 4 ms ahead
+in the scene palpation, the excess error divided by that of the zero-order hold is 0.31 with these
+delays, and 0.33 with `DELAYS`.
 """
 COORDINATES = 2 * len(DELAYS) - 1
-"""Number of coordinates of an axis: displacements between delays, and stretches at delays."""
+"""Number of coordinates per axis: displacements between delays, and stretches at delays."""
 HORIZON = 20
 """Largest number of ticks by which displacement and stretch are predicted ahead.
 
 This number is enough for 16 ms of latency and the path to the motor, in total 18.1 ticks.
 
-For a longer time, the prediction at the horizon is used.
+For a later time, the prediction for `HORIZON` ticks is used.
 """
 PATH_RIDGE = 1e-6
 """Ridge penalty for the displacement, relative to the mean square of each coordinate.
 
 The penalty keeps the weights small if the positions at neighbouring delays differ by less than an
-encoder step. A penalty of 1e-3 was worse in all scenes. In palpation, the ratio of the excess error
-to the excess error of the zero-order hold was larger by 0.02.
+encoder step. With a penalty of 1e-3, predictions were worse in all scenes. In palpation, the error
+ratio (see `DELAYS`) was larger by 0.02.
 """
 STRETCH_RIDGE = 1e-10
 """Ridge penalty for the stretch, relative to the mean square of each coordinate.
 
-With a penalty of 1e-6, the ratio of excess errors that is defined at `DELAYS` rises from 0.34 to
-0.42 in molar.
+With a penalty of 1e-6, the error ratio (see `DELAYS`) increases from 0.34 to 0.42 in the scene
+molar.
 """
 KEPT_LEADS = 16
-"""Number of prediction horizons whose maps are kept; a loop uses its horizon and one tick."""
+"""Number of prediction horizons whose maps are cached.
+
+A haptic loop uses two horizons: its own horizon and one tick.
+"""
 
 
 @dataclass(frozen=True)
 class Moments:
-    """Second moments of coordinates and targets, the sufficient statistics of a linear fit.
+    """Second moments of coordinates and targets, from which a linear map is fitted.
 
     Attributes
     ----------
     coordinates
-        Mean of z zᵀ over all axes and ticks [m2], shape (COORDINATES, COORDINATES). z is the vector
-        of the coordinates of an axis in a tick.
+        Mean of z zᵀ over all axes and ticks [m2], shape (COORDINATES, COORDINATES). The vector z
+        contains the coordinates of one axis in one tick.
     targets
         Mean of z yᵀ [m2], shape (COORDINATES, 2 HORIZON). The targets y are the displacements after
         1 to `HORIZON` ticks, followed by the changes of the stretch after the same ticks.
@@ -80,7 +84,7 @@ class Moments:
 
     @classmethod
     def pooled(cls, parts: Iterable["Moments"]) -> "Moments":
-        """Return the mean of several moments, after scaling them to the same power.
+        """Return the mean of several moments, which are first scaled to the same power.
 
         The common power is the geometric mean of the values of `power_m2`.
         """
@@ -95,7 +99,7 @@ class Moments:
 
     @property
     def power_m2(self) -> float:
-        """Mean square of the displacement between two delays, summed over the delays."""
+        """Mean square of the displacement between successive delays, summed over all delays."""
         return float(np.diag(self.coordinates)[: len(DELAYS) - 1].sum())
 
     def weights(self) -> Array:
@@ -146,24 +150,25 @@ def _path_coordinates() -> Array:
 
 
 PATH_COORDINATES = _path_coordinates()
-"""Matrix of the coordinates from which the displacement is predicted, shape (17, COORDINATES)."""
+"""Matrix, shape (17, COORDINATES), that maps coordinates to those used for the displacement."""
 
 
 @dataclass(frozen=True)
 class DelayOperator:
-    """Operator that predicts displacement and stretch of an axis, fitted to recorded runs.
+    """Linear operator, fitted to recorded runs, that predicts displacement and stretch.
 
-    All axes use the same operator on displacements and stretches, without an offset. The prediction
-    is therefore invariant to translation and rotation. It does not depend on the scale of the
-    forces.
+    The displacement is the motion of the device, and the stretch is the vector between device and
+    tool. All axes use the same operator, without an offset. The prediction is therefore invariant
+    to translation and rotation, and does not depend on the scale of the forces.
 
     Attributes
     ----------
     moments
         Moments of the training data.
     growth
-        Limit of the training range. Each coordinate is divided by its RMS in the training data. The
-        mean of the squares over the coordinates, summed over the axes, must not exceed the limit.
+        Limit of the training range. For a motion, each coordinate is divided by its RMS in the
+        training data. The squares are averaged over the coordinates and summed over the axes. The
+        motion is within the training range if the result does not exceed the limit.
     """
 
     moments: Moments
@@ -179,12 +184,12 @@ def coordinates(position_m: Array, stretch_m: Array) -> Array:
 
 
 class DelayPath:
-    """Predictor of a device's displacement and its coupling's stretch with a delay operator.
+    """Predictor of the displacement of a device and the stretch of its coupling.
 
     Parameters
     ----------
     operator
-        Operator that predicts displacement and stretch of an axis.
+        Operator with which displacement and stretch are predicted.
     """
 
     def __init__(self, operator: DelayOperator) -> None:
@@ -202,7 +207,7 @@ class DelayPath:
 
     @property
     def trusted(self) -> bool:
-        """True if all delays are known and the motion is within the training range."""
+        """True if enough samples are known and the motion is within the training range."""
         if self._is_empty or self._missing:
             return False
         scaled = (self._coordinates * self._inverse).ravel()
@@ -211,11 +216,10 @@ class DelayPath:
     def observe(self, position_m: Array, stretch_m: Array, filtered_m: Array | None = None) -> None:
         """Update with the device position and the coupling stretch in a tick, each of shape (3,).
 
-        The first state fills all delays, as if the device had been at rest. This assumption is true
-        at the start of a run. After a pause, the path is not trusted until all delays are measured.
-        `filtered_m` is the position that the coupling uses, if it is not the measured position. It
-        is not used here, because a trained operator includes the difference between these
-        positions.
+        The first sample is used for all delays, as if the device had been at rest, which is true at
+        the start of a run. After a pause, the prediction is not trusted until samples at all delays
+        are known. `filtered_m` is the filtered position that the coupling may use. This argument is
+        ignored here, because a trained operator includes the effect of the filter.
         """
         recent = self._recent
         self._missing = max(self._missing - 1, 0)
@@ -229,17 +233,17 @@ class DelayPath:
         self._coordinates = coordinates(seen[:, 0], seen[:, 1])
 
     def displacement_m(self, ticks: float) -> Array:
-        """Predict the displacement of the device from its last observed position, shape (3,)."""
+        """Predict the displacement [m], shape (3,), of the device after a number of ticks."""
         displacement: Array = self._map(ticks)[0].dot(self._coordinates)
         return displacement
 
     def stretch_m(self, ticks: float) -> Array:
-        """Predict the coupling's stretch after a number of ticks, shape (3,)."""
+        """Predict the stretch of the coupling [m], shape (3,), after a number of ticks."""
         stretch: Array = self._recent[0, 1] + self._map(ticks)[1].dot(self._coordinates)
         return stretch
 
     def pause(self) -> None:
-        """Clear all delays; they are filled again from the next tick on."""
+        """Discard all previous samples."""
         self._is_empty = True
         self._missing = DELAYS[-1] + 1
 

@@ -1,4 +1,4 @@
-"""Guard that uses a fallback while the predictions of a predictor cannot be trusted."""
+"""Guard of a force predictor, which uses a fallback while predictions cannot be trusted."""
 
 from collections import deque
 from collections.abc import Callable
@@ -17,41 +17,41 @@ from tissue.prediction.trained import Trained
 
 Triple = tuple[float, float, float]
 BLEND = 10
-"""Number of ticks in which the force fades from one predictor to the other."""
+"""Number of ticks in which the force fades between a predictor and its fallback."""
 ABSURD = 1e6
-"""Largest plausible component of a device's position, velocity or force [m, m/s, N]."""
+"""Largest plausible component of a position [m], a velocity [m/s] or a force [N]."""
 MEMORY = 0.98
-"""Factor by which past prediction errors decay in a tick.
+"""Factor by which the weight of past prediction errors decays in a tick.
 
-The memory is about 50 ticks, the length of a first contact.
+Errors are therefore averaged over about 50 ticks, the length of a first contact.
 """
 WORSE = 1.5
-"""Largest ratio of a trusted predictor's error to the error of the fallback.
+"""Largest error of a trusted predictor, divided by the error of its fallback.
 
-Smaller differences are noise. The value is a prior, not a measurement.
+Smaller differences are treated as noise. The value is assumed and not measured.
 """
 LEAST_N = 3e-3
-"""Error that is always accepted [N].
+"""Prediction error that is always accepted [N].
 
-This error is below a tenth of the lowest device friction, which is 0.04 N.
+The value is less than a tenth of the lowest friction of a device, which is 0.04 N.
 """
 LONG_MEMORY = 0.999
-"""Factor by which past errors in the comparison with the zero-order hold decay in a tick.
+"""Factor by which past errors decay in a tick, in the comparison with the zero-order hold.
 
-The memory is about 1 s. The comparison sums the squared errors of the predictor, minus the squared
-errors of the zero-order hold.
+Errors are therefore compared over about 1 s. The comparison sums the squared errors of the
+predictor minus the squared errors of the zero-order hold.
 """
 MOST_DEBT = 20.0
 """Largest sum in the comparison with the zero-order hold, in units of `LEAST_N`^2.
 
-Three seconds with equal errors reduce this sum to an accepted value.
+After three seconds with equal errors of both, the sum has decayed to an accepted value.
 """
 PROBATION = 50
-"""Number of ticks for which a predictor must be trusted before it is used again, see `MEMORY`."""
+"""Number of ticks for which a predictor must be trusted before it is used again."""
 
 
 class Judged(Predictor, Protocol):
-    """Predictor that reports whether it can be trusted."""
+    """Interface of a predictor that reports whether it can be trusted."""
 
     @property
     def trusted(self) -> bool:
@@ -60,17 +60,16 @@ class Judged(Predictor, Protocol):
 
 
 class Guarded:
-    """Predictor with a fallback; the force fades from one to the other without a jump.
+    """Force predictor with a fallback, which is used while the predictor is not trusted.
 
-    The played force is the fallback's force plus a share of the difference: the predictor's force
-    minus the fallback's force. The predictor loses trust in three cases. First, it reports that it
-    is not trusted. Second, the recent errors of its predictions are larger than the errors of the
-    fallback. Third, over a longer time its errors are larger than the errors of a zero-order hold.
-    Predicted contacts that did not happen count as errors in this third case. In each case the
-    share falls from 1 to 0 in `BLEND` ticks. After `PROBATION` ticks of trust, the share increases
-    at the same rate. The difference is limited to ``reach_N``. If it is not finite, the last
-    difference is used. A change between the predictors therefore changes the force by at most this
-    limit.
+    The result is the fallback's force plus a weighted difference: the predictor's force minus the
+    fallback's force. The predictor loses trust in three cases. First, it reports that it is not
+    trusted. Second, the recent errors of its predictions are larger than the errors of the
+    fallback. Third, over a longer time, its errors are larger than the errors of a zero-order hold.
+    In this case, predicted contacts that did not happen also count as errors. When trust is lost,
+    the weight falls from 1 to 0 in `BLEND` ticks, so that the force does not jump. After
+    `PROBATION` ticks of trust, the weight increases at the same rate. The difference is limited to
+    ``reach_N``. If the difference is not finite, the last finite difference is used.
 
     Parameters
     ----------
@@ -102,12 +101,12 @@ class Guarded:
         self._over_held = 0.0
 
     def meet(self, contact: Contact) -> None:
-        """Pass the contact to the predictor and to the fallback, if they use contacts."""
+        """Pass the contact to those of predictor and fallback that use contacts."""
         for each in self._shown:
             each.meet(contact)
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Pass the sample to predictor and fallback, and update the trust in the predictor.
+        """Pass the sample to predictor and fallback, and update whether the predictor is trusted.
 
         A sample that is not finite or not plausible is treated as missing.
         """
@@ -136,7 +135,7 @@ class Guarded:
         self.is_primary = self._share > 0.5
 
     def predict(self, ticks: float) -> Array:
-        """Return the fallback's force plus a share of the difference to the predictor's force."""
+        """Return the force after a number of ticks, blended from predictor and fallback."""
         # Three scalars are faster than arrays.
         u, v, w = self.inner.predict(ticks).tolist()
         x, y, z = self.instead.predict(ticks).tolist()
@@ -160,7 +159,7 @@ class Guarded:
         return np.array((x + share * u, y + share * v, z + share * w))
 
     def _compare(self, force_N: Array) -> None:
-        """Add the errors of earlier predictions, now that the force at their time is known."""
+        """Add the errors of earlier predictions for the present tick, whose force is now known."""
         fx, fy, fz = force_N.tolist()
         now = fx, fy, fz
         if self._lead and len(self._kept) == ceil(self._lead):
@@ -195,7 +194,7 @@ class Guarded:
         self._kept.append((primary, safe, self._seen))
 
     def pause(self) -> None:
-        """Pause predictor and fallback, and discard predictions that are not compared yet."""
+        """Pause predictor and fallback, and discard predictions that were not compared yet."""
         self._kept.clear()
         self.inner.pause()
         self.instead.pause()
@@ -211,29 +210,31 @@ class Observes(Protocol):
     """Minimal interface of a force predictor.
 
     Three optional members are used if they exist. ``pause()`` is called after a missing sample.
-    ``trusted`` is False while the prediction should not be played. ``meet(contact)`` receives the
-    contact of the tool in a tick (`tissue.prediction.predictor.Contact`). Before a run, the
-    predictor is copied and probed to check the stability of the loop. Its response to a small
-    change must decay within half a second. `predict` is called more than once a tick, and must not
-    change the predictor.
+    ``trusted`` is False while the prediction should not be used. ``meet(contact)`` receives the
+    contact of the tool in a tick (`tissue.prediction.predictor.Contact`). Before a run, a copy of
+    the predictor is probed to check the stability of the haptic loop. The response of the predictor
+    to a small change must decay within half a second. The method `predict` is called more than once
+    in a tick and must not change the predictor.
     """
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Update with the device's position [m] and velocity [m/s], shape (3,), and the force [N].
+        """Update with position [m], velocity [m/s] and force [N] of the device, each of shape (3,).
 
-        The force acts on the device. The force is None in a tick without a force.
+        The force is the present force on the device. It is None in a tick without a new response of
+        the tissue.
         """
         ...
 
     def predict(self, ticks: float) -> Array:
-        """Return the predicted force some ticks after the last observation [N], shape (3,)."""
+        """Return the force [N], shape (3,), predicted some ticks after the last observation."""
         ...
 
 
 class Outside:
-    """Wrapper that completes an external predictor, which needs only `observe` and `predict`.
+    """Wrapper of an external predictor that adds the members which the predictor lacks.
 
-    ``residual_N`` is the magnitude of the force predicted one tick ahead minus the observed force.
+    The external predictor needs only the methods `observe` and `predict`. The attribute
+    ``residual_N`` is the magnitude of the last prediction error for one tick ahead.
 
     Parameters
     ----------
@@ -245,8 +246,8 @@ class Outside:
     Raises
     ------
     InputError
-        If a method of the predictor, or a copy of it, raises an error. The message names the
-        predictor.
+        If a method of the predictor raises an error, or if the predictor cannot be copied. The
+        message names the predictor.
     """
 
     is_primary = True
@@ -264,7 +265,7 @@ class Outside:
     def trusted(self) -> bool:
         """True if the predictor reports that it is trusted.
 
-        A predictor without ``trusted`` is always trusted; only the guard then checks its errors.
+        A predictor without the attribute ``trusted`` always counts as trusted.
         """
         return bool(getattr(self.inner, "trusted", True))
 
@@ -340,7 +341,7 @@ def _failed(name: str, method: str, error: Exception) -> InputError:
 
 
 class GuardedMaker:
-    """Factory that makes an external predictor and adds a guard.
+    """Factory of an external predictor with a guard.
 
     The fallback of the guard is the zero-order hold.
 
@@ -349,10 +350,10 @@ class GuardedMaker:
     name
         Name of the predictor.
     make
-        Function that makes the predictor. It is called with the data trained for the scene, or
-        without arguments.
+        Function that makes the predictor. Its argument is the data trained for the scene, if
+        `trained` is True.
     trained
-        True to call `make` with the trained data.
+        Whether `make` is called with the trained data. If False, it is called without arguments.
     """
 
     def __init__(self, name: str, make: Callable[..., Any], *, trained: bool = False) -> None:

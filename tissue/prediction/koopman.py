@@ -1,4 +1,4 @@
-"""Force prediction from recent motion of device and coupling, without the tissue's law."""
+"""Force prediction from the recent motion of device and tool, without a law of the tissue."""
 
 from math import sqrt
 
@@ -11,37 +11,39 @@ from tissue.prediction.predictor import Contact
 LEAST_DEPTH_M = 2e-4
 """Smallest depth at which the stiffness of a contact is estimated [m].
 
-The value is about four encoder steps of a Touch. If the depths at the start and at the end of a
-contact differ by this value or more, the surface is treated as unknown.
+The value is about four encoder steps of a Touch. If the surface positions at the start and at the
+end of a contact differ by at least this value, the surface is treated as unknown.
 """
 
 RELEASED = 20
 """Number of ticks without force after which a contact ends.
 
-A shorter time without force is caused by chatter of a cutting tool, and does not define a surface.
+A shorter time without force may be caused by chatter of a cutting tool, and does not end the
+contact.
 """
 REMEMBERED = 0.95
-"""Factor by which past forces decay in a tick, in the estimate of the force's direction.
+"""Factor by which the weight of past forces decays in a tick, for the direction of the force.
 
-Past forces are needed, because a force close to zero has no reliable direction.
+The direction is estimated from past forces, because a force close to zero has no reliable
+direction.
 """
 
 
 class Koopman:
-    """Force predictor that uses recent displacements and stretches of a device.
+    """Force predictor that uses the recent motion of a device and of its coupling spring.
 
-    The predicted force is the coupling's stiffness times the stretch that the operator predicts. A
-    predicted force in the direction opposite to the present force is replaced by zero.
+    The predicted force is the stiffness of the coupling times the predicted stretch of the
+    coupling. If the predicted force is opposite to the present force, it is replaced by zero.
 
     If a device has been free for some ticks, the predicted force is zero until the predicted path
-    reaches the surface of the last contact. This surface is the plane through the end of that
-    contact, normal to the contact force. The plane is used only if the contact also began at this
-    plane. Behind the plane, the tissue has the stiffness of the last contact.
+    reaches the surface of the last contact. The surface is the plane at which that contact ended,
+    normal to the contact force. The plane is used only if the contact also began at this plane.
+    Behind the plane, the predicted force follows from the stiffness of the last contact.
 
     Parameters
     ----------
     path
-        Predictor of displacement and stretch.
+        Predictor of the displacement of the device and the stretch of the coupling.
     """
 
     residual_N = 0.0
@@ -60,7 +62,7 @@ class Koopman:
 
     @property
     def trusted(self) -> bool:
-        """True if the path is trusted and the coupling's stiffness is known."""
+        """True if the prediction of the motion is trusted and the coupling's stiffness is known."""
         return self._spring > 0.0 and self.path.trusted
 
     def meet(self, contact: Contact) -> None:
@@ -68,12 +70,12 @@ class Koopman:
         self._spring = contact.spring_N_m
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Update with device position and force.
+        """Update with the position of the device and the force on the device.
 
         In a tick without a force, the force at the new device position is computed from the last
-        contact. The prediction of the operator is not used as an observation: a predicted stretch
-        together with measured displacements is not a trajectory of the operator. With a tissue that
-        responds every tenth tick, such a stretch grew without bound within seconds.
+        contact. The predicted force is not used as an observation, because a predicted stretch and
+        measured displacements do not belong to the same motion. When it was used, with a tissue
+        that responds every tenth tick, the predicted stretch grew without bound within seconds.
         """
         if self._spring == 0.0:
             if force_N is not None:
@@ -123,11 +125,11 @@ class Koopman:
         return self._touched_N(self._position + self.path.displacement_m(ticks))
 
     def pause(self) -> None:
-        """Clear the delays of the path, so that they are filled again."""
+        """Discard the previous samples."""
         self.path.pause()
 
     def _moved_N(self, position_m: Array) -> Array:
-        """Return the force on a device that has moved since the last response of the tissue."""
+        """Return the force [N] on a device that has moved since the last response of the tissue."""
         if not any(self._answer.tolist()):
             return self._touched_N(position_m)
         into = float(self._normal @ (self._answered - position_m))
@@ -135,7 +137,7 @@ class Koopman:
         return force if float(force @ self._answer) > 0.0 else np.zeros(3)
 
     def _touched_N(self, at_m: Array) -> Array:
-        """Return the force on a free device behind the surface of the last contact.
+        """Return the force [N] on a device at a position behind the surface of the last contact.
 
         The force is zero if no surface is known.
         """

@@ -1,6 +1,7 @@
-"""Force prediction with the law of the tissue at the predicted device position.
+"""Force prediction from the predicted device position and a local law of the tissue.
 
-If the tissue does not provide the slope of its law, the slope is estimated in contact.
+The law is linear. If the tissue does not provide its stiffness (the slope), the slope is estimated
+during contact.
 """
 
 from math import isfinite, sqrt
@@ -13,36 +14,41 @@ from tissue.prediction.delays import DelayPath
 from tissue.prediction.predictor import Contact
 
 NOISE_M = 1e-6
-"""Deviation of a force from a linear law in a tick, divided by the coupling's stiffness [m].
+"""Deviation of the force from a linear law in a tick, divided by the coupling stiffness [m].
 
-The causes of this deviation are curvature and friction.
+The deviation is caused by the curvature of the law and by friction.
 """
 DRIFT_PER_M = 50.0
-"""Increase of a slope's variance per metre of motion.
+"""Increase of the variance of an estimated slope per metre of motion.
 
-A slope is unknown again when its variance reaches the square of the slope. A slope of 1 is unknown
-after 20 mm, and a slope of 0.1 after 0.2 mm. Values from 0.5 to 500 were compared in palpation. The
-excess error was divided by the excess error of the zero-order hold. With values from 50 on, the
-ratios are similar: 0.40 to 0.68. With a value of 0.5 the ratio is 0.72.
+A slope is the stiffness of the tissue divided by the stiffness of the coupling. A slope counts as
+unknown when its variance reaches the square of the slope. A slope of 1 is unknown after 20 mm of
+motion, and a slope of 0.1 after 0.2 mm. Values from 0.5 to 500 were compared in the scene
+palpation, by the error ratio that is defined in `tissue.prediction.delays`. With values from 50 on,
+the error ratios are similar: 0.40 to 0.68. With a value of 0.5, the error ratio is 0.72.
 """
 JUMP_M = 5e-4
-"""Change of a force in a tick above which it is a jump, divided by the coupling stiffness [m].
+"""Change of force in a tick that counts as a jump, divided by the coupling stiffness [m].
 
 The value corresponds to a device speed of 0.5 m/s against a rigid tissue. No hand moves so fast.
 """
 UNKNOWN = 1.0
-"""Variance of an unknown slope; the slope of a tissue as stiff as the coupling is 1."""
+"""Variance of an unknown slope.
+
+A tissue as stiff as the coupling has a slope of 1.
+"""
 
 
 class ContactSlope:
-    """Estimate of the matrix S, shape (3, 3), in df = -S dp.
+    """Estimate of the slope S, shape (3, 3), of a contact force: df = -S dp.
 
-    The force f is divided by the coupling's stiffness, so that f and the position p are in metres.
+    Here p is the position of the tool [m], and f is the force divided by the coupling's stiffness
+    [m].
 
     S is modelled as a random walk, and is corrected with the changes of every tick (recursive least
     squares). The variance increases with the motion and not with time, so that the estimate of a
-    resting tool is kept. No direction is preferred: if the motion is rotated, the estimate is
-    rotated too.
+    resting tool is kept. The estimate has no preferred direction: for a rotated motion, the result
+    is a rotated estimate.
     """
 
     def __init__(self) -> None:
@@ -51,7 +57,7 @@ class ContactSlope:
         self._before: tuple[Array, Array] | None = None
 
     def observe(self, tip_m: Array, force_m: Array) -> None:
-        """Update with position and force of a tick; a zero force ends the contact."""
+        """Update with the position and the force in a tick; a zero force ends the contact."""
         if not any(force_m.tolist()):
             self.pause()
             return
@@ -86,35 +92,34 @@ class ContactSlope:
 
 
 class LookAhead:
-    """Force predictor with linearised coupling and tissue at the predicted device position.
+    """Force predictor that balances coupling and tissue at the predicted device position.
 
     Coupling and tissue are linearised about the last tick.
 
     Let k be the coupling's stiffness, p the tip of the tool, f the force of the tissue on the tool,
-    and K = -df/dp its slope. If the device is at x, the tool is at p' with k (x - p') + f - K (p' -
-    p) = 0. The force on the device is k (p' - x). A tissue force that would pull is replaced by
-    zero. A free tool reaches the surface after the distance that the tissue provides, and is then
-    pushed back with the stiffness of that surface. If the tissue provides no slope, the slope is
-    estimated (`ContactSlope`).
+    and K = -df/dp the slope of f. If the device is at x, the tool is at p' with k (x - p') + f - K
+    (p' - p) = 0. The force on the device is then k (p' - x). A tissue force that would pull the
+    tool is replaced by zero. For a free tool, the tissue may provide the distance and the stiffness
+    of its surface, with which the force after contact is predicted. If the tissue provides no
+    slope, the slope is estimated (`ContactSlope`).
 
-    For a tool that cuts, the predicted force is the stretch that the path predicts, multiplied by
-    the coupling's stiffness. Using the law of the cutting force does not improve this prediction;
-    see ``docs/decisions.md``.
+    For a tool that cuts, the predicted force is the predicted stretch of the coupling times its
+    stiffness. Using the law of the cutting force does not improve this prediction; see
+    ``docs/decisions.md``.
 
-    The coupling's damper force is assumed constant up to the end of the path.
+    The damper force of the coupling is assumed to be constant during the predicted time.
 
     Parameters
     ----------
     path
-        Predictor of the device's path.
+        Predictor of the device's displacement and the coupling's stretch.
     slopes
-        Slopes of the tissue's force that are used. ``none`` uses no slope. ``given`` uses the
-        slopes that the tissue provides. ``learnt`` also estimates slopes that the tissue does not
-        provide. In contact without a slope, the stretch that the path predicts is used. Friction
-        and rupture under a needle or a blade have no constant slope. At the start of such a
-        contact, no past stretch is known. The force is then computed from the stiffness of the
-        surface below the tool. The weight of this force falls from 1 to 0 within the time of the
-        prediction.
+        Source of the slope of the tissue force. ``none`` uses no slope. ``given`` uses the slopes
+        that the tissue provides. ``learnt`` also estimates slopes that the tissue does not provide.
+        In a contact without a slope, the predicted stretch of the coupling is used instead.
+        Examples are friction and rupture under a needle or a blade. At the start of such a contact,
+        no past stretch is known. The force is then computed from the stiffness of the surface below
+        the tool. The weight of this force falls from 1 to 0 within the prediction horizon.
     """
 
     residual_N = 0.0
@@ -137,11 +142,11 @@ class LookAhead:
 
     @property
     def trusted(self) -> bool:
-        """True if the path is trusted and a contact is known."""
+        """True if the prediction of the motion is trusted and contact data were received."""
         return self._contact is not None and self.path.trusted
 
     def meet(self, contact: Contact) -> None:
-        """Store the contact law of this tick."""
+        """Store the local law of the tissue in this tick."""
         spring = contact.spring_N_m
         self._contact = Contact(
             spring,
@@ -165,7 +170,7 @@ class LookAhead:
             self._stiffness = contact.stiffness_N_m / spring
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Update with the device position, and with the force in ticks with a tissue response."""
+        """Update with the device position and, if the tissue has responded, with the force."""
         contact = self._contact
         if contact is None:
             if force_N is not None:
@@ -195,14 +200,14 @@ class LookAhead:
     def _next(self, contact: Contact) -> Array:
         """Return the force expected in the next tick.
 
-        For a tool that cuts, only the predicted stretch is used.
+        For a tool that cuts, the force is computed from the predicted stretch only.
         """
         if not contact.cuts:
             return self.predict(1.0)
         return contact.spring_N_m * self.path.stretch_m(1.0)
 
     def predict(self, ticks: float) -> Array:
-        """Return the force of the contact law at the predicted device position."""
+        """Return the force for the predicted device position."""
         if ticks == 0.0 or self._contact is None:
             return self._force.copy()
         if self._contact.cuts:
@@ -226,7 +231,7 @@ class LookAhead:
         return self._force + stiffness * depth * contact.normal
 
     def pause(self) -> None:
-        """Reset the path, and keep the estimated slope as a first guess for the next contact."""
+        """Discard previous samples, and keep the slope as first guess for the next contact."""
         self.path.pause()
         self._slope.pause()
 

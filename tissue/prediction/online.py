@@ -1,4 +1,4 @@
-"""Delay operator that adapts to the present contact by recursive least squares."""
+"""Delay operator that is adapted during a run by recursive least squares."""
 
 import numpy as np
 from scipy.signal import savgol_coeffs
@@ -7,31 +7,31 @@ from meshes.base.arrays import Array
 from tissue.prediction.delays import COORDINATES, HORIZON, DelayOperator, DelayPath, Moments
 
 MEMORY = 1000.0
-"""Number of ticks after which the weight of a tick in the fit is 1/e."""
+"""Number of ticks after which the weight of a sample in the fit has decayed to 1/e."""
 PRIOR = 0.3
-"""Weight of the initial operator in the fit, relative to the data of the run.
+"""Weight of the initial operator in the fit, divided by the weight of the data of the run.
 
-The ratio holds for a run with the power of the training data.
+The ratio is valid for a motion whose power equals the power of the training data.
 
 The weight of the initial operator makes the fit solvable at rest. The fit then returns to the
 initial operator.
 """
 SMOOTHED = 8
-"""Number of ticks on each side over which a parabola smooths the target position.
+"""Number of ticks before and after a target position to which a parabola is fitted.
 
-The smoothing removes most of the effect of encoder steps on the target.
+The target position is taken from the parabola, which removes most of the effect of encoder steps.
 """
 INTERVAL = 32
-"""Number of ticks between two solutions of the fit. A solution takes 60 us of its tick."""
+"""Number of ticks between two solutions of the fit, each of which takes 60 us."""
 
 
 class AdaptivePath(DelayPath):
-    """Delay path whose operator is fitted again during the run.
+    """Predictor like `DelayPath`, whose operator is fitted again during the run.
 
     The moments of the last ticks are summed with exponential forgetting (recursive least squares in
     information form). The moments of the initial operator are added at a constant rate. The sum is
-    therefore bounded and positive definite for any motion. All axes share the fit, so that it is
-    invariant to rotation. Time per tick and memory are constant.
+    therefore bounded and positive definite for any motion. All axes share the fit, so that the fit
+    is invariant to rotation. Time per tick and memory are constant.
 
     Parameters
     ----------
@@ -56,9 +56,9 @@ class AdaptivePath(DelayPath):
         self._good = 0
 
     def observe(self, position_m: Array, stretch_m: Array, filtered_m: Array | None = None) -> None:
-        """Update the window, and add its oldest tick, whose targets are now known, to the fit.
+        """Update with a sample, and add the newest tick with known targets to the fit.
 
-        The targets are the displacements to later positions as used by the coupling, and the
+        The targets are the displacements to later positions, as filtered for the coupling, and the
         changes of the stretch.
         """
         super().observe(position_m, stretch_m)

@@ -1,4 +1,4 @@
-"""Interface of force predictors, data of a contact that they may use, and simple predictors."""
+"""Interface of force predictors, contact data for predictors, and simple predictors."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -12,27 +12,28 @@ from meshes.base.arrays import Array
 
 
 class Predictor(Protocol):
-    """Predictor of the force on a device some ticks after the last observation.
+    """Interface of a predictor of the force on a device some ticks ahead.
 
-    Once a tick, `observe` receives the device position and velocity. In ticks with a tissue
-    response, it also receives the force. Then `predict` returns the predicted force. Each call
-    takes a constant time.
+    In every tick, `observe` receives the position and velocity of the device. In ticks with a
+    response of the tissue, `observe` also receives the force. Then `predict` returns the predicted
+    force. The duration of each call must be constant.
     """
 
     residual_N: float
     """Magnitude of the last one-tick error [N]: predicted force minus measured force."""
     is_primary: bool
-    """True if the last predicted force came from the predictor and not from its fallback."""
+    """True if the last predicted force is from the predictor and not from its fallback."""
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Update with the device's position [m] and velocity [m/s], shape (3,), and the force [N].
+        """Update with position [m], velocity [m/s] and force [N] of the device, each of shape (3,).
 
-        The force acts on the device. The force is None in a tick without a force.
+        The force is the present force on the device. It is None in a tick without a response of the
+        tissue.
         """
         ...
 
     def predict(self, ticks: float) -> Array:
-        """Return the predicted force some ticks after the last observation [N], shape (3,).
+        """Return the force [N], shape (3,), predicted some ticks after the last observation.
 
         For zero ticks, the result is the present force. The number of ticks need not be a whole
         number, because the delay of a force on its path to the motor is not a whole number of
@@ -66,34 +67,35 @@ class Hold:
         return self._force
 
     def pause(self) -> None:
-        """Do nothing: the zero-order hold does not depend on the ticks between forces."""
+        """Do nothing, because the last force remains the prediction."""
 
 
 @dataclass
 class Contact:
-    """Tool that is coupled to a device by a spring, and local law of the tissue.
+    """Contact data: a tool that a spring couples to a device, and the local law of the tissue.
 
-    All values are in metres and newtons at the device.
+    All lengths [m] and forces [N] are converted to values at the device.
 
     Attributes
     ----------
     spring_N_m
-        Stiffness of the coupling.
+        Stiffness of the coupling [N/m].
     tip_m
-        Position of the tool [m], shape (3,). A tool without force is at the device.
+        Position of the tool [m], shape (3,). Without a force, this is the position of the device.
     force_N
-        Force of the tissue on the tool at this position, shape (3,).
+        Force of the tissue on the tool at this position [N], shape (3,).
     stiffness_N_m
         Stiffness -dF/dx of the tissue at the tool [N/m], shape (3, 3). None if the tissue does not
-        provide it.
+        provide its stiffness.
     gap_m, normal
-        Distance of a free tool from the tissue's surface [m], infinite if the tissue does not
-        provide this distance. Unit normal out of the surface, shape (3,).
+        Distance of a free tool from the tissue's surface [m], and outward unit normal of the
+        surface, shape (3,). The distance is infinite if the tissue does not provide it.
     surface_N_m
         Stiffness of the surface below a free tool, along the normal [N/m]; infinite if it is not
         known.
     cuts
-        True for a tool that cuts. The tissue does not push such a tool back to an earlier position.
+        True for a tool that cuts. In contrast to soft tissue, cut tissue does not push the tool
+        back to an earlier position.
     """
 
     spring_N_m: float
@@ -108,29 +110,30 @@ class Contact:
 
 @runtime_checkable
 class SeesContact(Protocol):
-    """Predictor that receives the contact of a tick before `observe` is called."""
+    """Interface of a predictor that receives contact data in a tick before `observe` is called."""
 
     def meet(self, contact: Contact) -> None:
-        """Copy the contact of the next observation."""
+        """Copy the contact data that belong to the next observation."""
         ...
 
 
 WINDOW = 10
-"""Number of ticks over which a slope is estimated.
+"""Number of ticks over which `Linear` computes the slope of the force.
 
-Values from 3 to 30 were compared. In recordings of `wall`, 4 to 8 ms ahead, only a window of 8 has
-a smaller error. In the slower scenes, 10 is better than 8. With a shorter window an encoder step
-looks like a slope.
+Values from 3 to 30 were compared. For predictions 4 to 8 ms ahead in recordings of the scene
+`wall`, only a value of 8 has a smaller error. In scenes with slower motion, 10 is better than 8.
+With a smaller value, an encoder step looks like a slope.
 """
 JERKINESS = 1e-3
-"""Variance of the third difference of the force, divided by the variance of the force's noise.
+"""Variance of the third difference of the force, divided by the variance of the force noise.
 
-In recordings of `wall`, this value gave the smallest error of the values from 1e-8 to 1e-2.
+`Kalman` uses this ratio. In recordings of the scene `wall`, values from 1e-8 to 1e-2 were compared,
+and this value gave the smallest error.
 """
 
 
 class Linear:
-    """Predictor with a straight line through the newest force and the force one window earlier."""
+    """Predictor that extrapolates a straight line through the last and an earlier force."""
 
     residual_N = 0.0
     is_primary = trusted = True
@@ -141,7 +144,7 @@ class Linear:
         self._slope = np.zeros(3)
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Update with the force; the device is not used."""
+        """Update with the force; position and velocity are not used."""
         self._clock += 1
         if force_N is None:
             return
@@ -156,7 +159,7 @@ class Linear:
         self._slope = (force_N - first) / max(self._clock - since, WINDOW)
 
     def predict(self, ticks: float) -> Array:
-        """Return the force on the line."""
+        """Return the force on the straight line after a number of ticks."""
         since, force = self._seen[-1]
         return force + (self._clock - since + ticks) * self._slope
 
@@ -168,7 +171,7 @@ class Linear:
 
 @lru_cache
 def kalman_gains(ticks: int, jerkiness: float) -> Array:
-    """Return the steady Kalman gains for force, first and second derivative, shape (3,).
+    """Return the steady-state Kalman gains, shape (3,), for force, first and second derivative.
 
     A force is observed every `ticks` ticks. The process is F''' = white noise. The gains solve the
     discrete Riccati equation (Kalman 1960).
@@ -188,9 +191,9 @@ def kalman_gains(ticks: int, jerkiness: float) -> Array:
 
 
 class Kalman:
-    """Predictor with a steady-state Kalman filter for a force with a constant second derivative.
+    """Predictor that extrapolates a parabola, estimated with a steady-state Kalman filter.
 
-    The process and the observations have white noise.
+    The filter assumes white noise in the third derivative of the force and in the observed force.
     """
 
     residual_N = 0.0
@@ -204,7 +207,7 @@ class Kalman:
         self._force = np.zeros(3)
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
-        """Advance by a tick, and correct with the force; the device is not used."""
+        """Advance by a tick, and correct with the force; position and velocity are not used."""
         state = self._state = self._onward.dot(self._state)
         self._since += 1
         if force_N is not None:
@@ -215,7 +218,7 @@ class Kalman:
             self._force = force_N.copy()
 
     def predict(self, ticks: float) -> Array:
-        """Return the force on the parabola of force, first and second derivative.
+        """Return the force on the estimated parabola after a number of ticks.
 
         For 0 ticks after an observed force, the result is the observed force.
         """
@@ -224,5 +227,5 @@ class Kalman:
         return np.array((1.0, ticks, 0.5 * ticks * ticks)) @ self._state
 
     def pause(self) -> None:
-        """Reset the derivatives, because they belong to the earlier motion."""
+        """Reset the derivatives of the force, because they belong to an earlier motion."""
         self._state[1:] = 0.0

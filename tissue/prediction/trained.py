@@ -1,4 +1,4 @@
-"""Trained predictors of a scene, and their file with arrays and one line of JSON."""
+"""Trained predictors of a scene, and reading and writing of their file."""
 
 import json
 from dataclasses import dataclass, field, replace
@@ -21,27 +21,27 @@ from tissue.prediction.delays import COORDINATES, DELAYS, HORIZON, DelayOperator
 SHIPPED = Path(__file__).parent / "trained"
 """Folder of the predictors that are part of the package, one file for each scene."""
 VALIDATED_AT = 6
-"""Prediction horizon in whole ticks at which predictors are compared in training.
+"""Prediction horizon at which predictors are compared in training [ticks].
 
-The value is the horizon for 4 ms of latency. On a Touch, this horizon is 6.11 ticks including the
-path to the motor, see `tissue.simulation.builders.loop.lead_ticks`.
+The value corresponds to a latency of 4 ms. On a Touch, the horizon for this latency and for the
+path to the motor is 6.11 ticks; see `tissue.simulation.builders.loop.lead_ticks`.
 """
 FINE_STEP_M = 1e-5
 """Encoder step of the second operator, `Trained.fine` [m].
 
-The value is the step of the finest devices for which prediction errors were measured. For smaller
-steps, the second operator is used.
+The value is the smallest encoder step for which prediction errors were measured. The second
+operator is also used for smaller steps.
 """
 FORMAT = "tissue predictor"
 VERSION = 5
 """Version of the file format."""
 SHAPES = {"coordinates": (COORDINATES, COORDINATES), "targets": (COORDINATES, 2 * HORIZON)}
-"""Shapes of the arrays in a file; they are attributes of `tissue.prediction.delays.Moments`."""
+"""Shapes of the arrays in a file, keyed by the attributes of `tissue.prediction.delays.Moments`."""
 
 
 @dataclass(frozen=True)
 class Trained:
-    """Predictors trained on runs of a scene.
+    """Data of the predictors that were trained on runs of a scene.
 
     Attributes
     ----------
@@ -50,15 +50,15 @@ class Trained:
     operator
         Delay operator of displacement and stretch of an axis [m], see `tissue.prediction.delays`.
     step_m
-        Encoder step of the operator [m].
+        Encoder step of the devices on which the operator was trained [m].
     fine
-        Operator trained on the same trials with encoder steps of `FINE_STEP_M`. None if `step_m` is
-        not larger than `FINE_STEP_M`.
+        Second operator, trained on the same runs with encoder steps of `FINE_STEP_M`. None if
+        `step_m` is not larger than `FINE_STEP_M`.
     fallback
-        Name of the predictor that is used outside the training range. It is the best predictor
-        without an operator.
+        Name of the predictor that is used outside the training range. In training, this was the
+        best predictor without an operator.
     facts
-        Numbers and names that describe training and validation.
+        Dict with numbers and names that describe the training and the validation.
     """
 
     scene: str
@@ -69,11 +69,12 @@ class Trained:
     facts: dict[str, Any] = field(default_factory=dict)
 
     def at_step(self, step_m: float) -> "Trained":
-        """Return the predictors for a device with other encoder steps [m].
+        """Return the trained predictors, adapted to a device with another encoder step [m].
 
-        The moments are interpolated linearly over the step q. The reason is that a displacement d
-        shorter than q is read as q with a probability of d / q. Its mean square d q is therefore
-        linear in q. Outside the steps in training, the nearest operator is used.
+        The moments of the two operators are interpolated linearly over the encoder step q. The
+        reason is that a displacement d shorter than q is read as q with a probability of d / q. The
+        mean square of the reading, d q, is therefore linear in q. Outside the range of the two
+        operators, the nearest operator is used.
         """
         fine = self.fine
         if fine is None or step_m >= self.step_m:
@@ -91,8 +92,8 @@ class Trained:
     def loses(self, kind: str, other: str) -> bool:
         """Return True if ``other`` had a smaller error than ``kind`` in validation.
 
-        The errors are compared at the validated horizon that is nearest to the usual horizon of a
-        loop.
+        The errors are compared at the validated prediction horizon that is nearest to the usual
+        horizon of a haptic loop.
         """
         if "validation" not in self.facts:
             return False
@@ -102,7 +103,7 @@ class Trained:
         return bool(errors[kind][at] > errors[other][at])
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the predictors to a file; an incomplete file never appears.
+        """Write the predictors to a file, which appears only when it is complete.
 
         Raises
         ------
@@ -139,7 +140,7 @@ class Trained:
 
     @classmethod
     def read(cls, path: str | Path, *, scene: str | None = None) -> "Trained":
-        """Read the trained predictors of a scene; no code in the file is run.
+        """Read the trained predictors of a scene, without running code from the file.
 
         Raises
         ------
@@ -191,12 +192,12 @@ class Trained:
 
 
 def shipped_file(scene: str) -> Path:
-    """Return the path of the predictor of a built-in scene.
+    """Return the path of the file with the trained predictors of a built-in scene.
 
     Raises
     ------
     InputError
-        If the scene has no built-in predictor.
+        If the package contains no trained predictors for the scene.
     """
     path = SHIPPED / f"{scene}.npz"
     if not path.is_file():
@@ -211,9 +212,9 @@ def shipped_file(scene: str) -> Path:
 
 
 def is_trained(scene: str, file: str = "") -> bool:
-    """Return True if a trained predictor exists for a scene.
+    """Return True if trained predictors exist for a scene.
 
-    The predictor is in the scene's own file, or in a file that is part of the package.
+    The predictors are in the given file or, without a file, in a file that is part of the package.
     """
     return bool(file) or (SHIPPED / f"{scene}.npz").is_file()
 
@@ -222,8 +223,9 @@ def is_trained(scene: str, file: str = "") -> bool:
 def general_operator(*, without: str = "", step_m: float = inf) -> DelayOperator:
     """Return the operator fitted to the training data of all built-in predictors.
 
-    Every scene has the same weight. The data of the scene ``without`` are left out. ``step_m`` is
-    the encoder step of the device; by default, it is the step of the devices in training.
+    Every scene has the same weight. The data of the scene ``without`` are not used. ``step_m`` is
+    the encoder step of the device. With the default, the operator is for the encoder step of the
+    devices in training.
     """
     operators = [
         Trained.read(path).at_step(step_m).operator
@@ -235,7 +237,7 @@ def general_operator(*, without: str = "", step_m: float = inf) -> DelayOperator
 
 
 def _checked(name: str, array: NDArray[Any]) -> Array:
-    """Return an array of a file after checking its shape and numbers."""
+    """Check the shape and the numbers of an array from a file, and return the array."""
     if array.dtype != np.float64 or not np.isfinite(array).all():
         raise DamagedFileError(f"{name} is not finite")
     if array.shape != SHAPES[name]:

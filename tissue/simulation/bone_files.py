@@ -1,4 +1,4 @@
-"""Files of the bone of a run: voxels, carved surface, and the carving over time for ParaView."""
+"""Files that a run writes for its bone: voxels, carved surface, and carving over time."""
 
 import gzip
 from dataclasses import replace
@@ -50,7 +50,10 @@ MOST_FRAMES = 40
 This number and `MOST_TRIANGLES` limit the size of the files. Both values were chosen by judgement.
 """
 MOST_TRIANGLES = 40_000
-"""Largest number of triangles in a frame; a larger surface is computed from blocks of voxels."""
+"""Largest number of triangles in a frame.
+
+If a surface has more triangles, it is computed again from larger voxels.
+"""
 STEPS_S = (0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 25.0, 50.0, 100.0)
 """Possible intervals between two frames in ``carving.pvd`` [s]."""
 
@@ -84,10 +87,10 @@ def voxel_image(volume: VoxelVolume, remaining: Bytes) -> "pyvista.ImageData":
 
 
 def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVolume, Bytes]:
-    """Read the voxels of ``bone.vti`` of a run, in the frame of the scene.
+    """Read the voxels from the file ``bone.vti`` of a run, in the frame of the scene.
 
-    The function returns the volume before the first cut, and the bone left in each voxel at the
-    end.
+    The function returns the volume before the first cut, and the bone left in each voxel at the end
+    of the run (255 = full).
 
     Raises
     ------
@@ -116,10 +119,10 @@ def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVo
 def saved_voxels(
     saved: SavedRun,
 ) -> tuple[VoxelVolume, Bytes, Array | None]:
-    """Read the voxels of a run and the tool poses that cut them.
+    """Read the voxels of a run and the poses of the tool during the run.
 
-    The function returns the volume before the first cut, the bone left in each voxel at the end,
-    and the poses. The poses are None if the file of poses does not exist.
+    The function returns the volume before the first cut, the bone left in each voxel at the end of
+    the run (255 = full), and the tool poses. The tool poses are None if they were not saved.
 
     Raises
     ------
@@ -156,14 +159,14 @@ def carved_surface(run: CarvedRun) -> "pyvista.PolyData":
 
 
 def write_bone(run: CarvedRun, out: Path) -> None:
-    """Write the bone of a finished run.
+    """Write the bone of a finished run into the folder `out`.
 
     ``bone.vti`` (for ParaView) holds the voxels in mm, with the cell arrays ``remaining`` and
     ``start`` (uint8, 255 = full), ``layer`` (uint8, an index into the field ``layer_names``) and
     ``density_kg_m3`` (uint16). ``bone.nrrd`` holds ``remaining`` for 3D Slicer, which does not read
     .vti files. ``bone.stl`` and ``bone.vtp`` hold the carved surface in mm; ``bone.vtp`` also has
-    the arrays ``removed_depth_mm`` and ``layer``. No ``bone.stl`` is written if the run removed all
-    of the bone.
+    the arrays ``removed_depth_mm`` and ``layer``. If the run removed all of the bone, ``bone.stl``
+    is not written.
 
     Bone that was read from a file is written in the frame and unit of that file, so the input file
     and the results can be shown together.
@@ -191,7 +194,7 @@ def write_bone(run: CarvedRun, out: Path) -> None:
 
 
 def _write_nrrd(run: CarvedRun, path: Path) -> None:
-    """Write ``remaining`` as a compressed NRRD image.
+    """Write the bone left in each voxel (255 = full) as a compressed NRRD image.
 
     The axes are LPS (left, posterior, superior), which 3D Slicer also uses for surface files.
     """
@@ -228,9 +231,10 @@ def _write_nrrd(run: CarvedRun, path: Path) -> None:
 
 
 def carving_ticks(run: CarvedRun) -> list[int]:
-    """Return the ticks whose bone is written to ``carving.pvd``.
+    """Return the ticks for which the bone is written to ``carving.pvd``.
 
-    These are the ticks of the saved fields, if there are any, and the last tick.
+    If the run saves fields, such as displacement, these are ticks at which fields are saved.
+    Otherwise, the ticks have equal intervals. The last tick is always included.
     """
     last = len(run.trace.rows) - 1
     fields = run.parts.fields
@@ -250,14 +254,17 @@ def carving_ticks(run: CarvedRun) -> list[int]:
 
 
 def write_carving(run: CarvedRun, out: Path, *, report: Progress = silent) -> None:
-    """Write the bone over time. If the run cut no bone, no file is written.
+    """Write the surface of the bone over time, for ParaView.
+
+    If the run cut no bone, no file is written.
 
     ``carving.pvd`` lists two surfaces for each time [s]. The part of the surface that changes
     during the run is in ``carving/frame_0000.vtp`` and so on. The rest of the surface is in
-    ``carving/rest.vtp``. Both surfaces are in mm, or in the frame and unit of the anatomy's file,
-    and have the arrays ``layer`` and ``removed_depth_mm``. If the changing part has more than
-    `MOST_TRIANGLES` triangles, it is computed from blocks of voxels. ``carving/poses.npz`` holds
-    the tool poses, from which the bone at any other tick can be computed.
+    ``carving/rest.vtp``. If the anatomy was read from a file, both surfaces are in the frame and
+    unit of that file, otherwise in mm. Both have the arrays ``layer`` and ``removed_depth_mm``. If
+    the changing part has more than `MOST_TRIANGLES` triangles, it is computed again from larger
+    voxels. ``carving/poses.npz`` holds the tool poses. From these poses, the bone at any other tick
+    can be computed.
     """
     box = None if run.poses is None else changed_box(run.volume.fraction, run.remaining)
     if run.poses is None or box is None:

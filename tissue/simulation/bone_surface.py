@@ -1,4 +1,4 @@
-"""Surface of a bone made of voxels, with layers, removed depth and the part that cuts change."""
+"""Surface of a bone that is modelled by voxels, with the layers and the removed depth."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from tissue.simulation.builders.parts import Parts
 
 INWARD_VOXELS = 0.75
-"""Depth below the surface at which the layer of a triangle is read [voxels].
+"""Depth below a triangle of the surface at which the layer of the triangle is read [voxels].
 
-This depth lies inside the voxel behind the surface.
+A point at this depth lies inside the voxel behind the surface.
 """
 Box = tuple[NDArray[np.intp], NDArray[np.intp]]
 MARGIN = 2
-"""Margin around the voxels that change [voxels].
+"""Margin around the voxels that change during a run [voxels].
 
 With this margin, the normals at the edge of the changing part of the surface equal the normals of
 the whole surface.
@@ -48,7 +48,7 @@ def bone_surface(
         Bone in each voxel, 255 = full, uint8, shape (nx, ny, nz).
     closed
         Whether the surface is closed where bone reaches the boundary of the volume. If True, the
-        surface has additional faces where the region was cut out of a larger bone. If False, the
+        surface has additional faces where the voxels end inside a larger bone. If False, the
         surface is open there.
     """
     import pyvista
@@ -74,7 +74,7 @@ def bone_surface(
 def with_layers(surface: "pyvista.PolyData", volume: VoxelVolume) -> "pyvista.PolyData":
     """Add the cell array ``layer``: the layer of the bone below each triangle.
 
-    The layer names are stored as the field ``layer_names``.
+    The array contains indices into the layer names, which are stored as the field ``layer_names``.
     """
     triangles = surface.regular_faces
     points = surface.points
@@ -109,13 +109,13 @@ def with_depth(
     """Add the point array ``removed_depth_mm``.
 
     At a point that the tool exposed, the array holds the depth of bone removed from the column of
-    voxels through the point. The depth is 0 on the original surface of the bone, and on faces where
-    the region was cut out of a larger bone.
+    voxels through the point. The depth is 0 on the original surface of the bone. It is also 0 on
+    faces where the voxels end inside a larger bone.
 
     Parameters
     ----------
     surface
-        Surface of ``remaining``.
+        Surface of the bone in `remaining`, as returned by `bone_surface`.
     volume, remaining
         Bone before the first cut, and bone left in each voxel after the cuts.
     depth_mm
@@ -142,10 +142,11 @@ def with_depth(
 def smooth_normals(surface: "pyvista.PolyData", *, passes: int = 16) -> Singles:
     """Return unit normals averaged over neighbours, shape (n, 3).
 
-    With these normals, a picture does not show the steps between voxels. A neighbour has a larger
-    weight if its normal agrees better with the normal at the point. Neighbours whose normal differs
-    by more than 37 degrees, for example across an edge, are ignored. On a ball of binary voxels, 16
-    passes reduce the error of the normals from 16 to 6 degrees, and 32 passes to 5.7 degrees.
+    With these normals, a picture does not show the steps between voxels. The weight of a neighbour
+    increases with the agreement of its normal and the normal at the point. Neighbours whose normal
+    differs by more than 37 degrees, for example across an edge, are ignored. On a ball of binary
+    voxels, 16 passes reduce the error of the normals from 16 to 6 degrees, and 32 passes to 5.7
+    degrees.
     """
     from scipy.sparse import csr_array
 
@@ -177,8 +178,9 @@ def cut_out(
     volume
         Volume of voxels.
     reach_m
-        Lowest and highest corner of the requested region [m]. If the volume ends before such a
-        corner, the bone itself ends there.
+        Lowest and highest corner of the region for which voxels were requested [m]. Where the
+        volume does not reach the end of this region, the bone itself ends, and no triangle is
+        selected.
     """
     cut = np.zeros(surface.n_cells, dtype=bool)
     # A face on the boundary of the volume is within 0.25 voxel of the boundary.
@@ -193,8 +195,8 @@ def cut_out(
 def cut_faces(volume: VoxelVolume, reach_m: tuple[Array, Array]) -> list[tuple[int, int]]:
     """Return the faces at which a volume ends inside bone.
 
-    Each face is a pair: the axis, and -1 for the lower end or 1 for the upper end. The arguments
-    are those of `cut_out`.
+    Each face is a pair: the index of the axis normal to the face, and -1 for the lower end or 1 for
+    the upper end of the volume. The arguments are those of `cut_out`.
     """
     # The region is rounded outward to whole bricks (blocks of voxels). 1.5 voxels allow for the
     # rounding to whole voxels of other volumes. Where the volume ends before the requested corner,
@@ -209,7 +211,7 @@ def cut_faces(volume: VoxelVolume, reach_m: tuple[Array, Array]) -> list[tuple[i
 
 
 def _voxels(points_mm: Floats, volume: VoxelVolume) -> Array:
-    """Return positions in units of voxels, with voxel centres at whole numbers, shape (n, 3)."""
+    """Return positions, shape (n, 3), in units of voxels, where voxel centres are whole numbers."""
     return (
         np.asarray(points_mm, dtype=np.float64) * 1e-3 - volume.origin_m
     ) / volume.spacing_m - 0.5
@@ -223,8 +225,7 @@ class CarvedSurface:
     volume
         Bone before the first cut, or some layers of this bone.
     box
-        Indices of the first voxel that changes, and one beyond the last one, shape (3,) each; see
-        `changed_box`.
+        Box of the voxels that change, as returned by `changed_box`.
     axis
         World axis closest to the tool's axis, 0 to 2. The removed depth is measured along this
         axis.
@@ -232,7 +233,7 @@ class CarvedSurface:
     Attributes
     ----------
     part
-        Slices that select, from an array of the volume, the values that `of` needs.
+        Slices that select, from an array with one value per voxel, the part that `of` needs.
     """
 
     def __init__(self, volume: VoxelVolume, box: Box, *, axis: int) -> None:
@@ -271,7 +272,7 @@ class CarvedSurface:
     def of(self, fraction: Bytes) -> "pyvista.PolyData":
         """Return the part of the surface that cuts change [mm].
 
-        The argument is the bone left in the voxels of `part` (255 = full).
+        `fraction` is the bone left in the voxels of `part` (255 = full).
 
         The surface has the same arrays as `rest`.
         """
@@ -286,7 +287,7 @@ class CarvedSurface:
         return _chosen(surface, self._inside(surface))
 
     def _inside(self, surface: "pyvista.PolyData") -> Flags:
-        """Return a mask of the triangles in the part that cuts change, shape (triangles,).
+        """Return a mask, shape (triangles,), of the triangles in the part that cuts change.
 
         Such a triangle lies between the centres of voxels, at least one of which changes.
         """
@@ -295,9 +296,9 @@ class CarvedSurface:
 
 
 def changed_box(before: Bytes, after: Bytes) -> Box | None:
-    """Return the box of voxels that differ; None if all voxels are equal.
+    """Return the box around the voxels that differ between two arrays; None if all are equal.
 
-    The box is the first index and one beyond the last index, shape (3,) each.
+    The box is a pair: the first indices, shape (3,), and the last indices plus one, shape (3,).
     """
     from scipy.ndimage import find_objects
 
@@ -310,7 +311,7 @@ def changed_box(before: Bytes, after: Bytes) -> Box | None:
 def coarse_volume(volume: VoxelVolume, block: int) -> VoxelVolume:
     """Return the bone in coarser voxels, whose edge is ``block`` times as long.
 
-    A coarse voxel has the layer and the density of the voxel at its middle.
+    A coarse voxel has the layer and the density of the original voxel at its middle.
     """
     if block == 1:
         return volume
@@ -338,7 +339,7 @@ def block_means(fraction: Bytes, block: int) -> Bytes:
 
 
 def _chosen(surface: "pyvista.PolyData", chosen: Flags) -> "pyvista.PolyData":
-    """Return the selected triangles of a surface, with points and arrays."""
+    """Return a surface of the selected triangles, with the arrays of points and cells."""
     import pyvista
 
     faces = surface.regular_faces[chosen]
@@ -354,9 +355,10 @@ def _chosen(surface: "pyvista.PolyData", chosen: Flags) -> "pyvista.PolyData":
 
 
 class CarvedRun(Protocol):
-    """Interface of a run that was just simulated or read from a folder.
+    """Interface of a run from which the carved bone can be written.
 
-    The class `tissue.simulation.run.Run` has this interface.
+    The class `tissue.simulation.run.Run` has this interface, both for a run that was just simulated
+    and for a run read from a folder.
     """
 
     @property
@@ -366,7 +368,7 @@ class CarvedRun(Protocol):
 
     @property
     def parts(self) -> "Parts":
-        """Simulated parts."""
+        """Objects that simulated the scene, such as the motion and the tissue model."""
         ...
 
     @property
@@ -396,7 +398,7 @@ class CarvedRun(Protocol):
 
 @dataclass(frozen=True)
 class DepthMap:
-    """Columns of voxels along the world axis closest to the tool's axis.
+    """Depth of bone removed from each column of voxels along one world axis.
 
     Attributes
     ----------
@@ -404,7 +406,7 @@ class DepthMap:
         World axis closest to the tool's axis, 0 to 2, and the side from which the tool comes, +1 or
         -1.
     across
-        The two other axes, which belong to the first and second index of the arrays.
+        World axes that belong to the first and the second index of `depth_mm`.
     depth_mm
         Depth of bone removed from each column, including undercuts [mm], shape (nu, nv).
     """
@@ -416,7 +418,7 @@ class DepthMap:
 
 
 def depth_map(run: CarvedRun) -> DepthMap:
-    """Return the removed depth of a run."""
+    """Return the depth of bone that a run removed from each column of voxels."""
     volume = run.volume
     axis, outward = facing(run.trace)
     first, second = (each for each in range(3) if each != axis)

@@ -1,4 +1,4 @@
-"""Findings of a finished run: targets that were not reached, and break-throughs."""
+"""Findings of a finished run: targets that the tool did not reach, and break-throughs."""
 
 from dataclasses import dataclass, replace
 from math import floor, log10
@@ -22,37 +22,39 @@ from tissue.simulation.builders.parts import Parts
 from tissue.simulation.trace import Table
 
 MOSTLY = 0.5
-"""Share of the caries within reach that must be removed.
+"""Smallest share of the caries within the tool's reach that a run must remove.
 
-If less is removed, the caries counts as missed.
+If less is removed, the run contains a note on missed caries.
 
 The share was chosen by judgement.
 """
 TOLERANCE_MM = 0.05
-"""Difference between requested and reached depth of a thrust above which a note is made [mm].
+"""Difference of requested and reached depth of a thrust [mm] above which a run has a note.
 
-The value is half a voxel of the default size.
+The value is half the default edge of a voxel.
 """
 FAR_RADII = 2.0
-"""Distance from the path above which a smaller force scale is suggested [radii of the tool].
+"""Distance of the tool from its path above which a smaller force scale is suggested.
 
-With small force scales, simulated hands stayed within 1.0 to 1.4 radii of a bur of 1 mm, in `molar`
-and in a block of 42 corners in a scanned molar.
+The unit is the radius of the tool. With small force scales and a bur of 1 mm, the largest distances
+were 1.0 to 1.4 radii. They were measured with simulated hands, in the scene `molar` and in a
+scanned molar.
 """
 RISING_S = 0.1
-"""Time before the end of a run within which a largest temperature counts as still rising [s].
+"""Time before the end of a run [s] in which a largest temperature counts as still rising.
 
-The temperature changes every 20 ms and is 20 ms late. The value was chosen by judgement.
+The temperature in the trace changes every 20 ms and has a delay of 20 ms. The value was chosen by
+judgement.
 """
 LEAST_DENSE = 0.001
-"""Share of cortical and subchondral bone in the region below which a note is made.
+"""Share of cortical and subchondral bone below which a run with a density image has a note.
 
 The share was chosen by judgement.
 """
 FORWARD = 0.5
-"""Smallest ratio of travel along the tool's axis to total travel in a tick of forward motion.
+"""Smallest share of the travel in a tick, along the tool's axis, that counts as forward motion.
 
-Because of this limit, a tool that leaves the bone sideways does not count as breaking through.
+The limit excludes a tool that leaves the bone sideways.
 """
 
 
@@ -60,9 +62,9 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
     """Return notes, keyed by subject, on targets that a run did not reach or remove.
 
     There is also a note if the bone has a density image, but almost no bone in the simulated region
-    is dense enough to be cortical bone. ``path_s`` is the duration of the run [s]; infinity if a
-    user decides when the run ends. There is a note if this duration is shorter than the scripted
-    motion.
+    is dense enough to be cortical bone. ``path_s`` is the duration of the run [s], or infinity if a
+    user decides when the run ends. A duration that is shorter than the scripted motion also causes
+    a note.
     """
     found = {}
     wanted_s = parts.motion.duration_s - parts.motion.after_s
@@ -121,7 +123,7 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
 
 
 def region_note(parts: Parts, trace: Table) -> dict[str, str]:
-    """Return a note with a sufficient margin of the voxels if the tool left the region."""
+    """Return a note that suggests a larger voxel margin if the tool left the simulated region."""
     end = parts.region_end
     if end is None or end.left_s is None:
         return {}
@@ -136,9 +138,10 @@ def region_note(parts: Parts, trace: Table) -> dict[str, str]:
 
 
 def path_distance_mm(scene: Scene, motion: Motion, trace: Table) -> dict[str, float] | None:
-    """Return the largest distances of a tool in a simulated hand from the path of the scene [mm].
+    """Return the largest distances [mm] between tool and scripted path in a run with a hand.
 
-    The keys are ``largest_in_contact`` and ``largest``. The result is None for other motions.
+    The keys are ``largest_in_contact`` and ``largest``. The result is None if no simulated hand
+    moves the tool.
     """
     is_led = isinstance(motion, HandMotion) and isinstance(motion.device, SimulatedDevice)
     if not is_led or not isinstance(scene.motion, PathMotion):
@@ -152,9 +155,9 @@ def path_distance_mm(scene: Scene, motion: Motion, trace: Table) -> dict[str, fl
 
 
 def path_note(scene: Scene, parts: Parts, apart_mm: dict[str, float] | None) -> dict[str, str]:
-    """Return a note with a smaller force scale if a cutter in a simulated hand left its path.
+    """Return a note that suggests a smaller force scale if a cutter in a hand left its path.
 
-    ``apart_mm`` contains the distances of `path_distance_mm`.
+    ``apart_mm`` is the result of `path_distance_mm`.
     """
     cutter = parts.cutter
     if apart_mm is None or cutter is None or cutter.spin_rad_s == 0.0:
@@ -229,7 +232,7 @@ def _missed_caries(anatomy: Tooth, parts: Parts) -> str:
 
 @dataclass(frozen=True)
 class BreakThrough:
-    """Break-through of the tool's tip: exit from bone, forward along the axis.
+    """Break-through: exit of the tool's tip from bone during forward motion along its axis.
 
     Attributes
     ----------
@@ -237,7 +240,8 @@ class BreakThrough:
         Time of the first break-through in this hole [s].
     plunge_mm
         Distance travelled along the axis from the break-through until the tool reached bone again
-        or the run ended [mm]. It is the largest value of all passes through the hole.
+        or the run ended [mm]. If the tool passes through the hole several times, the largest
+        distance is used.
     """
 
     time_s: float
@@ -245,12 +249,12 @@ class BreakThrough:
 
 
 def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> list[BreakThrough]:
-    """Return the break-throughs: exits of the tool's tip from uncut bone, forward along its axis.
+    """Return the break-throughs: exits of the tool's tip from bone, forward along its axis.
 
-    The surface of the bone is where interpolated voxels are half full. The time of the exit within
-    a tick is interpolated too. Each hole counts as one break-through. An exit belongs to an earlier
-    hole if the tool has passed through its place before. The tool passes through places behind its
-    tip that are within its radius around the axis.
+    The surface of the bone is where the interpolated content of voxels before the run is one half.
+    The time of an exit is interpolated between ticks. Each hole counts as one break-through. An
+    exit belongs to an earlier hole if the tool was at the place of the exit before. This means that
+    the place was behind the tip, at a distance from the tool's axis of less than its radius.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
-"""Record of the geometry of one run, from which loads for other cutting coefficients are computed.
+"""Record of a run's geometry, to compute its loads for other cutting coefficients.
 
-The loads for new coefficients need no further run.
+Loads are the force and the torque on the tool. Loads for other coefficients are computed without
+another run.
 
 The force on a cutter is the sum of the forces on its cutting elements. The force on a cutting
 element is proportional to the length of its edge. On a given path of the tool, the engaged bone and
@@ -55,21 +56,21 @@ SENSITIVITIES = (
 )
 """Variables of each layer by which `LoadRecord.jacobian` differentiates."""
 MOST_BYTES = 1_000_000_000
-"""Largest size of a record [bytes].
+"""Largest size of a `LoadRecord` [bytes].
 
-This size is enough for every tick of 60 s in two layers of varying density. It is also enough for
-an hour in one layer of constant density.
+This size is enough to record every tick of a run of 60 s in two layers of varying density, or of a
+run of an hour in one layer of constant density.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class LayerLoads:
-    """Unit loads of one layer that the tool engaged.
+    """Loads of unit forces per length in one layer that the tool engaged.
 
     Attributes
     ----------
     nodes
-        Values of density at which loads are recorded.
+        Values of density at which loads are recorded (density nodes).
     chips_m
         Values of chip thickness at which loads are recorded (chip nodes) [m], shape (k,).
     unit
@@ -129,7 +130,7 @@ class LayerLoads:
 
 @dataclass(frozen=True, eq=False)
 class LoadRecord:
-    """Recorded geometry of one run.
+    """Recorded geometry of one run, from which its loads are computed.
 
     Attributes
     ----------
@@ -144,7 +145,7 @@ class LoadRecord:
     engaged_m2
         Engaged area of the tool in each layer [m2], shape (n, layers).
     trace
-        Rows of the trace for the recorded ticks. The columns of force and torque are 0.
+        Rows of the trace for the recorded ticks, with 0 in the columns of force and torque.
     notes
         Notes on assumptions and findings from the build of the scene, keyed by subject.
     """
@@ -160,15 +161,16 @@ class LoadRecord:
     def loads(
         self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None
     ) -> Array:
-        """Return force [N] and torque about the tip [N m] on the tool in the world frame, shape (n,
-        6).
+        """Return the loads on the tool in the world frame, shape (n, 6).
+
+        The loads are the force [N], followed by the torque about the tip [N m].
 
         Parameters
         ----------
         coefficients
             Coefficients of each layer, in the order of `layer_names`.
         density_factors
-            Factors by which the density of each layer is multiplied, shape (layers,); None for 1.
+            Factors, shape (layers,), by which the density of each layer is multiplied; None for 1.
         """
         loads = np.zeros((len(self.times_s), 6))
         for at, weights in self.weights(coefficients, density_factors).items():
@@ -179,11 +181,11 @@ class LoadRecord:
     def weights(
         self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None
     ) -> dict[int, Array]:
-        """Return the factors of the unit loads of each layer, shape (nodes * 3 k,).
+        """Return the factors, shape (nodes * 3 k,), of the unit loads of each layer.
 
-        The keys are those of `layers`.
+        The result has the same keys as the attribute `layers`.
 
-        The arguments are those of `loads`.
+        For the arguments, see `loads`.
         """
         found = {}
         for at, layer in self.layers.items():
@@ -197,7 +199,7 @@ class LoadRecord:
     ) -> Array:
         """Return the derivatives of the loads with respect to the `SENSITIVITIES` of each layer.
 
-        The shape is (n, 6, layers, 10). The arguments are those of `loads`.
+        The result has shape (n, 6, layers, 10). For the arguments, see `loads`.
         """
         found = np.zeros((len(self.times_s), 6, len(self.layer_names), len(SENSITIVITIES)))
         for at, layer in self.layers.items():
@@ -225,9 +227,9 @@ def _strengths(layer: LayerLoads, coefficients: CuttingCoefficients, factor: flo
 
 
 def why_not_linear(scene: Scene) -> str:
-    """Return the reason why the loads of a scene are not linear in the coefficients, or "".
+    """Return the reason why loads are not linear in the cutting coefficients; empty if they are.
 
-    If the loads are linear, one run is enough to compute the loads for other coefficients.
+    For linear loads, one run of the scene is enough to compute the loads for other coefficients.
     """
     if not isinstance(scene.anatomy, CutAnatomy) or not isinstance(scene.tool, Tool):
         return (
@@ -258,7 +260,7 @@ def record_loads(
     cores: int | None = None,
     progress: Progress | None = None,
 ) -> LoadRecord:
-    """Run the geometry of a scene once, and record the unit loads.
+    """Run a scene once, and record the unit loads from which its loads can be computed.
 
     The bone is carved in every tick, as in a run. Stress, heat, and distances to structures that
     must not be touched are not computed.
@@ -268,8 +270,8 @@ def record_loads(
     scene
         Scene in which a cutter mills bone or tooth on a given path.
     motion
-        Motion of the tool that replaces the motion of the scene. Its whole duration is run. The
-        motion must not depend on the force.
+        Motion of the tool that replaces the motion of the scene and is run to its end. The motion
+        must not depend on the force.
     every
         Interval between two recorded ticks [ticks].
     compute, cores, progress
@@ -322,7 +324,7 @@ def record_loads(
 
 
 def _is_linear(scene: Scene, layer_names: tuple[str, ...]) -> bool:
-    """Return whether the laws of all layers are linear in the chip thickness, for any constants."""
+    """Return True if the cutting laws of all layers are linear in the chip thickness."""
     changes = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
     for layer in layer_names:
         known = scene.constants.layer_constants(layer, bone=scene.cutting.material)
@@ -333,7 +335,7 @@ def _is_linear(scene: Scene, layer_names: tuple[str, ...]) -> bool:
 
 
 def _fastest_m_s(motion: Motion, ticks: int, cutter: Cutter) -> float:
-    """Return an upper bound of the speed of a cutter's points, without the spin [m/s].
+    """Return an upper bound [m/s] of the speed of points on a cutter, without its spin.
 
     The motion must not depend on the force.
     """

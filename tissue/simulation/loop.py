@@ -1,4 +1,4 @@
-"""Loop of a run in ticks of 1 ms: motion, removal of material, force, output and record."""
+"""Loop of a run, in ticks of 1 ms, that moves the tool and computes and records forces."""
 
 import gc
 import sys
@@ -39,12 +39,12 @@ The value is a twentieth of a tick. Python's default of 5 ms is five ticks.
 
 
 class PoseLog:
-    """Log of the poses of a tool, in memory that is allocated before the first tick.
+    """Record of the poses of a tool, in memory that is allocated before the first tick.
 
     Parameters
     ----------
     ticks
-        Number of ticks of the run. In each tick the tool may take two poses.
+        Number of ticks of the run. Up to two poses are stored for each tick.
     """
 
     def __init__(self, ticks: int) -> None:
@@ -61,16 +61,16 @@ class PoseLog:
 
     @property
     def poses(self) -> Array:
-        """Poses so far: tick, tip [m] and axis, shape (n, 7)."""
+        """Poses so far, shape (n, 7): tick, tip [m] and direction of the tool's axis."""
         return self._rows[: self._count]
 
 
 class Stepper:
-    """Motion and tissue response in a tick of 1 ms, without output and record.
+    """Object that moves the tool in each tick and computes the response of the tissue.
 
-    All simulated ticks use `step`: the ticks of runs, cuts of a bone, loops of a caller's program,
-    reference forces and environments. The cutting force depends on the bone before the current
-    pass, so it is the same before and after the removal of bone in a tick.
+    The forces are neither processed for a device nor recorded. Every part of the package that
+    simulates ticks uses this class. In a tick, the order of computing force and removing bone does
+    not matter. The reason is that the cutting force depends on the bone before the current pass.
 
     Parameters
     ----------
@@ -79,19 +79,20 @@ class Stepper:
     tissue
         Tissue that the tool cuts or presses.
     balances
-        Whether to search for the pose at which the force balances the thrust. Poses are tried
-        before bone is removed, because a rejected pose must not remove bone.
+        Whether to search for the pose at which the tissue force balances the thrust on the tool.
+        The search ends before bone is removed, because a rejected pose must not remove bone.
     log
-        Log of the poses of a tool that cuts.
+        Record of the poses of a tool that cuts; None to record no poses.
 
     Attributes
     ----------
     tool
         Current pose of the tool.
     response
-        Response of the tissue at this pose.
+        Response of the tissue at the current pose.
     moved_s, searched_s, removed_s
-        Clock times at which motion, search and removal ended in the tick [s].
+        Clock times at which motion, search for the balance, and removal of material ended in the
+        last tick [s].
     """
 
     def __init__(
@@ -115,8 +116,8 @@ class Stepper:
     def place(self, *, resume: bool = False) -> Response:
         """Put the tool at the start of the motion and return the response there.
 
-        Call this before the first tick. With `resume`, the tissue keeps the state in which another
-        loop left it at this pose.
+        Call this before the first tick. If `resume` is True, the tissue keeps the state in which
+        another loop has left it at the same pose.
         """
         self._motion.meet(self._tissue)
         self._motion.begin(self.tool)
@@ -126,14 +127,15 @@ class Stepper:
         return self._tissue.respond(self.tool)
 
     def wait(self, index: int) -> None:
-        """Wait for background work whose result is needed at a tick."""
+        """Wait for work in the background whose result is needed at a tick."""
         if self._waits is not None:
             self._waits.wait_for_background(index * TICK_S)
 
     def step(self, index: int, *, step_s: float = TICK_S) -> None:
         """Move the tool by a time step [s] and evaluate the tissue.
 
-        In ticks between two responses of a slow model, only the motion advances.
+        If the tissue model is slow and responds only every few ticks, only the motion advances in
+        the other ticks.
         """
         motion = self._motion
         tissue = self._tissue
@@ -161,7 +163,7 @@ class Stepper:
         self.response = response
 
     def state(self) -> State:
-        """Copy the state of tool, response and tissue, but not the state of the motion.
+        """Return a copy of the state of tool, response and tissue, without the state of the motion.
 
         Raises
         ------
@@ -179,13 +181,13 @@ class Stepper:
         return {"own": copied(self, ("tool", "response")), "tissue": tissue.state()}
 
     def restore(self, state: State) -> None:
-        """Restore a copied state."""
+        """Restore a state that `state` returned."""
         assert isinstance(self._tissue, HasState)
         self._tissue.restore(state["tissue"])
         put_back(self, state["own"])
 
     def start_background(self, index: int) -> None:
-        """Start the background work that follows a tick."""
+        """Start work in the background that follows a tick."""
         if self._starts is not None:
             self._starts.start_background(index * TICK_S, self.tool)
 
@@ -218,20 +220,20 @@ def undisturbed() -> Iterator[None]:
 
 
 class Loop:
-    """Loop of a run: motion, removal, force, output and record in ticks of 1 ms.
+    """Loop of a run in ticks of 1 ms, which also processes and records the forces.
 
     All memory that a tick needs is allocated once, when the loop is made.
 
     Parameters
     ----------
     parts
-        Motion of the tool, tissue and further parts of the run.
+        Objects that simulate the scene, such as the motion of the tool and the tissue.
     ticks
-        Number of ticks for which the constructor allocates memory.
+        Number of ticks for which memory is allocated.
     output
-        Processing of the model force before it is commanded.
+        Processing of the tissue force before it is sent to a device.
     timing_columns
-        Additional columns of the timing.
+        Additional columns of the timing table, which observers fill.
 
     Attributes
     ----------
@@ -242,8 +244,8 @@ class Loop:
     events
         Events that the tissue has reported, each with a time [s] and a sentence.
     ticks
-        Number of ticks that have run. When all allocated rows are used, a tick replaces the oldest
-        row.
+        Number of ticks that have run. When all rows of the tables are used, a new tick replaces the
+        oldest row.
     """
 
     def __init__(
@@ -293,8 +295,8 @@ class Loop:
     def place(self, *, resume: bool = False) -> None:
         """Put the tool at the start of the motion; call this before the first tick.
 
-        The time that this call takes does not count as part of a tick. With `resume`, the tissue
-        keeps the state in which another loop left it at this pose.
+        The duration of this call is not recorded in the timing. If `resume` is True, the tissue
+        keeps the state in which another loop has left it at the same pose.
         """
         response = self._stepper.place(resume=resume)
         if self.parts.keep_clear is not None:
@@ -302,7 +304,7 @@ class Loop:
         self._record(self.trace.rows[0], 0, response)
 
     def wait(self) -> None:
-        """Wait for background work whose result is needed at the next tick."""
+        """Wait for work in the background whose result is needed at the next tick."""
         self._stepper.wait(self.ticks)
 
     def step(self) -> int:
@@ -353,7 +355,7 @@ class Loop:
         return self._stepper.response
 
     def state(self) -> State:
-        """Copy the state on which later ticks depend, without trace and timing."""
+        """Return a copy of the state on which later ticks depend, without trace and timing."""
         clear = self.parts.keep_clear
         return {
             "own": copied(self, ("ticks", "events", "_filtered", "_commanded")),
@@ -362,7 +364,7 @@ class Loop:
         }
 
     def restore(self, state: State) -> None:
-        """Restore a copied state."""
+        """Restore a state that `state` returned."""
         # The tissue is restored first, so the loop stays unchanged if the tissue refuses the state.
         self._stepper.restore(state["stepper"])
         put_back(self, state["own"])
@@ -402,7 +404,7 @@ class Loop:
         row[self._loads[np.abs(row[self._loads]) < LEAST_LOAD]] = 0.0
 
     def finish(self) -> None:
-        """Complete work that was spread over ticks, and remove the unused rows of the tables."""
+        """Complete the work that the tissue had spread over ticks, and remove unused table rows."""
         self.trace.rows = self.trace.rows[: self.ticks]
         self.timing.rows = self.timing.rows[: self.ticks]
         if isinstance(self.parts.tissue, Finishes):

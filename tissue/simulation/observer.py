@@ -1,4 +1,4 @@
-"""Observers that are called in every tick: function, wall clock, and priority.
+"""Observers that are called in every tick of a run, such as the wall clock.
 
 They must not change the result of the run.
 """
@@ -20,26 +20,28 @@ from tissue.system.priorities import TickPriority
 LOOK_TICKS = 200
 """Interval between two checks of a live run [ticks].
 
-The processor time of the ticks is checked, and whether the processes of the run still exist.
+A check reads the processor time of the ticks, and tests if the other processes of the run still
+exist.
 
 The interval of 0.2 s is shorter than the 1 s after which Linux stops a thread that leaves no time
 to other threads.
 """
 FULL = 0.9
-"""Largest share of the time that the ticks may use at a raised priority.
+"""Largest share of the processor time that the ticks may use at a raised priority.
 
-If a real-time thread has used 95 % of a second, Linux stops it for the rest of this second.
+If real-time threads have used 95 % of a second, Linux stops them for the rest of this second.
 """
 BEHIND = (
     "the ticks were {:.3g} s behind the wall clock in all. The schedule was moved by "
     "this time, so the device received its forces later than the trace states"
 )
 BEHIND_S = 0.01
-"""Largest lateness of a tick that later ticks catch up [s].
+"""Largest lateness of a tick [s] for which the following ticks run without waiting.
 
-The later ticks then run without waiting until the run is on time again.
+These ticks run without waiting until the run is on time again. After a larger lateness, the
+schedule is moved.
 
-A person does not feel that up to ten ticks run faster than in real time.
+A person does not feel when up to ten ticks run faster than in real time.
 """
 SPIN_S = 1.5e-4
 """Time before a tick is due [s] at which the thread stops sleeping and polls the clock.
@@ -51,9 +53,9 @@ A sleep may end up to 0.1 ms late.
 class TickRow(Mapping[str, Any]):
     """Row of the trace for one tick, keyed by column, such as ``row["model_force_z_N"]``.
 
-    ``row["layer"]`` is the name of a layer, as in the trace. All other values are numbers. The
-    object is the same in every tick, and its values are those of the current tick. ``dict(row)``
-    copies the values.
+    ``row["layer"]`` is the name of a layer, as in the trace. All other values are numbers. The same
+    object is used in every tick, so its values change. To keep the values of a tick, copy them with
+    ``dict(row)``.
     """
 
     def __init__(self, columns: tuple[str, ...], layer_names: tuple[str, ...]) -> None:
@@ -83,31 +85,32 @@ class OnTick(RunObserver):
         self._row = TickRow((), ())
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Store the names of columns and layers."""
+        """Store the names of the trace columns and of the layers."""
         self._row = TickRow(columns, parts.tissue.layer_names)
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Call the function."""
+        """Call the function, and return True if the run continues."""
         self._row.values_of_tick = row
         answer = self._function(index, self._row)
         return not (isinstance(answer, bool | np.bool_) and not answer)
 
 
 class WallClock:
-    """Wall clock by which the ticks of a run are started.
+    """Schedule that starts the ticks of a run in real time.
 
-    Tick i is due i ticks after the start, whatever the duration of earlier ticks, so delays do not
-    add up. A late tick runs at once, and so do the following ticks until the run is on time again.
-    If a tick is late by more than `BEHIND_S`, the whole schedule is moved by the lateness, which
-    is counted as skipped time. The simulated time of a tick never changes, and no tick is left out.
-    The skipped time is recorded with microsecond resolution.
+    Tick i is due i milliseconds after the start, regardless of the duration of earlier ticks.
+    Delays therefore do not accumulate. A late tick runs at once, and so do the following ticks
+    until the run is on time again. If a tick is late by more than `BEHIND_S`, all later ticks are
+    postponed by the lateness. The lateness is then counted as skipped time. The simulated time of a
+    tick never changes, and no tick is left out. The skipped time is recorded with microsecond
+    resolution.
 
     Attributes
     ----------
     late_s
         Lateness at the beginning of the current tick [s].
     skipped_s
-        Time by which the current tick moved the schedule [s]; 0 for most ticks.
+        Time by which the schedule was moved at the current tick [s]; 0 for most ticks.
     """
 
     def __init__(self) -> None:
@@ -152,21 +155,21 @@ class Paced(RunObserver):
         self._skipped_s += self._clock.skipped_s
 
     def on_end(self) -> Events:
-        """Return an event with the total skipped time."""
+        """Return an event with the skipped time of the whole run."""
         return [(0.0, BEHIND.format(self._skipped_s))] if self._skipped_s > 0.0 else []
 
 
 class Prioritised(RunObserver):
-    """Observer that raises the priority of the thread of the ticks, and restores it at the end.
+    """Observer that raises the priority of the thread that runs the ticks, until the run ends.
 
     The priority is restored earlier if the ticks use more than the share `FULL` of the time.
-    Otherwise the system would stop the thread of the ticks, and this pause would be longer than the
-    delays at an ordinary priority.
+    Otherwise the system would stop the thread. The pause would be longer than the delays at an
+    ordinary priority.
 
     Attributes
     ----------
     note
-        Text about the priority of the ticks.
+        Text about the priority of the thread that runs the ticks.
     """
 
     def __init__(self, priority: TickPriority | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Session in which a caller gives poses of a tool and receives the wrench on the tool."""
+"""Session in which a program gives poses of a tool and receives force and torque on the tool."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -19,18 +19,24 @@ from tissue.simulation.builders.parts import Parts, motion_of
 from tissue.simulation.simulate import builder_of
 
 ACROSS = 5
-"""Number of copies of a path in each direction across the tool's axis, chosen by judgement."""
+"""Number of copies of a path along each of the two axes across the tool's axis.
+
+The tissue is prepared along all copies. The number was chosen by judgement.
+"""
 LEFT_REGION = "the tool left the region in which the tissue is prepared"
-"""Start of the event that reports a tool outside the prepared region; a remedy follows."""
+"""First words of the event that reports a tool outside the region with prepared tissue.
+
+A remedy follows these words.
+"""
 WIDER = "use a larger reach_mm"
-"""Remedy for a tip outside the prepared region, unless only a deeper path helps."""
+"""Remedy for a tip that is outside the region with prepared tissue, except below it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
     """State of a session, for pickling and for restoring it later.
 
-    The state can be restored in any session that was made from equal arguments.
+    The state can be restored in any session that was made with equal arguments.
 
     Attributes
     ----------
@@ -42,7 +48,7 @@ class Snapshot:
     made_from
         Fingerprint of the constants, the step, the tool and the prepared tissue of the session.
     state
-        State of tool, tissue and structures to keep clear of.
+        State of the tool, of the tissue, and of the measured distances to structures.
     """
 
     time_s: float
@@ -53,8 +59,9 @@ class Snapshot:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Region in which the tissue is prepared: a box whose edges are parallel to the tool's axes at
-    the start.
+    """Box in which the tissue is prepared for the tip of the tool.
+
+    The edges of the box are parallel to the axes of the tool at the start.
 
     Attributes
     ----------
@@ -64,7 +71,7 @@ class Region:
         Coordinates of two corners of the box along these axes [m], shape (3,) each. The tip may not
         leave the box, except at its top, where the box is open.
     deeper
-        Remedy for a tip below the box.
+        Advice in the event for a tip below the box.
     """
 
     rotation: Array
@@ -74,7 +81,7 @@ class Region:
 
     @classmethod
     def of(cls, motion: Motion) -> "Region":
-        """Return the smallest region that contains all tips of a motion."""
+        """Return the smallest region that contains all tip positions of a motion."""
         rotation = motion.rotations()[0].copy()
         tips = motion.sweep_m() @ rotation
         high = tips.max(axis=0)
@@ -85,7 +92,7 @@ class Region:
         return cls(rotation, tips.min(axis=0) - 1e-9, high + 1e-9, deeper)
 
     def remedies(self, tip_m: Array) -> list[str]:
-        """Return the remedies for a tip outside the region; empty for a tip inside."""
+        """Return the advice for a tip outside the region; empty for a tip inside."""
         place = tip_m @ self.rotation
         is_outside = (place < self.low_m) | (place > self.high_m)
         found = [WIDER] if is_outside[:2].any() else []
@@ -95,7 +102,7 @@ class Region:
 
 
 class _Widened(Motion):
-    """Motion along the path of a scene and shifted copies of this path, to prepare the tissue."""
+    """Motion along shifted copies of a scene's path, with which the tissue is prepared."""
 
     def __init__(self, motion: Motion, reach_m: float) -> None:
         self.duration_s = motion.duration_s
@@ -112,11 +119,11 @@ class _Widened(Motion):
         self._motion = motion
 
     def sweep_m(self) -> Array:
-        """Return the corners of all copies [m]."""
+        """Return the corners of all copies of the path [m]."""
         return self._path
 
     def rotations(self) -> Array:
-        """Return the orientation at each corner."""
+        """Return the orientation of the tool at each corner that `sweep_m` returns."""
         return self._turns
 
     def begin(self, motion: ToolMotion) -> None:
@@ -128,12 +135,12 @@ class _Widened(Motion):
 
 
 def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Parts, Region]:
-    """Build the objects that simulate a scene, for a tool whose poses the caller gives.
+    """Build the objects that simulate a scene, for a tool that is moved to given poses.
 
-    Return these objects, and the region in which the tissue is prepared.
+    The region in which the tissue is prepared is also returned.
 
-    The anatomy is prepared within `reach_m` [m] around the path of the scene. Frames, stress and
-    heat are left out, because they do not change the force.
+    The anatomy is prepared within `reach_m` [m] around the path of the scene. Stress, heat and
+    frames of the scene are not computed, because they do not change the force.
 
     Raises
     ------
@@ -159,10 +166,9 @@ def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Par
 
 
 def scene_arguments(scene: Scene) -> tuple[object, ...]:
-    """Return the values of a scene on which the state and the forces in a session depend.
+    """Return the values of a scene on which the state and the forces of a session depend.
 
-    The motion chooses the tissue that is prepared. The output and the times of frames have no
-    effect on the forces.
+    The output and the times of frames are not included, because they have no effect on the forces.
     """
     frames = {"interval_ms"}
     table = scene.model_dump_json(
@@ -174,24 +180,24 @@ def scene_arguments(scene: Scene) -> tuple[object, ...]:
 
 
 class PosedSession:
-    """Session with a tool whose pose a caller gives, in steps of whole ticks.
+    """Session in which a program moves a tool to given poses, in steps of whole ticks.
 
     Parameters
     ----------
     parts
-        Tissue, and structures to keep clear of. The motion in `parts` only defines the start pose.
-        The poses of the caller replace it.
+        Objects that simulate the scene. Only the start pose of their motion is used; the later
+        poses are given to `step`.
     ticks
         Number of ticks of 1 ms in a step.
     rows
         Number of ticks that the trace keeps.
     made_from
-        Constants, tool and tissue from which the parts were made. The session refuses a snapshot of
-        a session that was made from other objects; see `tissue.models.state.fingerprint`.
+        Constants, tool and tissue from which `parts` was made. A snapshot can be restored only if
+        these objects are equal; see `tissue.models.state.fingerprint`.
     keep_ready
         Function that is called with the tip [m] before every tick, to prepare more tissue.
     region
-        Region in which the tissue is prepared; None for no limit.
+        Region in which the tissue is prepared; None if the tissue has no limits.
 
     Attributes
     ----------
@@ -264,8 +270,9 @@ class PosedSession:
         return loop.response.wrench.copy()
 
     def reset(self, pose: ArrayLike | None = None) -> None:
-        """Restore the initial state of the tissue, and put the tool at the start or at a given
-        pose.
+        """Restore the initial state of the tissue, and put the tool at a pose.
+
+        The default is the start pose of the scene.
         """
         if self._untouched is None:
             self.loop.state()  # raises why
@@ -281,7 +288,7 @@ class PosedSession:
         self.loop.place()
 
     def snapshot(self) -> Snapshot:
-        """Return a copy of the state of the session."""
+        """Return a copy of the session's state, which `restore` accepts."""
         return Snapshot(self.loop.ticks * TICK_S, self._names, self._made_from, self.loop.state())
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -290,8 +297,8 @@ class PosedSession:
         Raises
         ------
         InputError
-            If the snapshot is of a session with another tissue, tool, step or constants, or needs
-            bone that this session has not prepared.
+            If the session of the snapshot has another tissue, tool, step or constants. The error is
+            also raised if the snapshot needs bone that this session has not prepared.
         """
         if snapshot.tissue != self._names:
             raise InputError(

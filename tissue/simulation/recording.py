@@ -1,4 +1,4 @@
-"""Recording of a run for other programs: HDF5 in the layout of volumetric_drilling's recorder."""
+"""HDF5 file of a run in the layout that the recorder of the program volumetric_drilling uses."""
 
 from collections.abc import Iterable
 from io import BytesIO
@@ -18,12 +18,16 @@ from tissue.simulation.trace import RECORDING, write_table
 
 DRILL = "mastoidectomy_drill"
 ANATOMY = "anatomy_object_name"
-"""Default name of the anatomy in the recorder's files; `DRILL` is the default name of the drill.
+"""Name of the anatomy in a recording; `DRILL` is the name of the drill.
 
-With these names, scripts for files of the recorder also work with files of tissue.
+Both names are the defaults of volumetric_drilling. Scripts for its files therefore also work with
+files of this package.
 """
 DENSEST_KG_M3 = 2000.0
-"""Density of bone that is drawn white [kg/m3]; the densest cortical bone has 1800 to 2000."""
+"""Density above which bone is drawn white [kg/m3].
+
+The densest cortical bone has 1800 to 2000 kg/m3.
+"""
 ABOUT = (
     "Lengths in m, times in s from the start of the run, forces in N, torques in N m about "
     "the tool's tip. Poses are\n"
@@ -43,7 +47,7 @@ ABOUT_VOXELS = (
 
 
 def write_formats(run: CarvedRun, folder: Path, formats: Iterable[str]) -> None:
-    """Write a run into a folder in additional formats."""
+    """Write the trace or a recording of a run into a folder, in each of the given formats."""
     for kind in formats:
         if kind == RECORDING:
             write_recording(run, folder / "recording.hdf5")
@@ -54,11 +58,11 @@ def write_formats(run: CarvedRun, folder: Path, formats: Iterable[str]) -> None:
 def write_recording(run: CarvedRun, path: Path) -> None:
     """Write a run in the file layout of volumetric_drilling's recorder.
 
-    The layout follows version 3 of the recorder's data note.
+    The layout follows version 3 of the note on data in volumetric_drilling.
 
-    Data that a run does not have are left out, as the recorder leaves out topics that it did not
-    receive. Images and camera are always left out. If the tool does not cut, voxels and burr are
-    also left out.
+    Data that a run does not have are left out. The recorder of volumetric_drilling also leaves out
+    missing data. Images and camera are always left out. If the tool does not cut, voxels and burr
+    are also left out.
     """
     import h5py
 
@@ -114,7 +118,7 @@ def _write_poses(file: Any, run: CarvedRun) -> None:
 
 
 def _write_voxels(file: Any, run: CarvedRun) -> None:
-    """Write voxels in the order in which their content fell below one half, grouped by tick."""
+    """Write the removed voxels, grouped by the tick in which their content fell below one half."""
     volume = run.volume
     file["metadata_v3/voxel_volume"] = 1e9 * volume.voxel_volume_m3
     file["metadata_v3/voxel_volume"].attrs["units"] = "mm^3, millimeters cubed"
@@ -136,6 +140,6 @@ def _write_voxels(file: Any, run: CarvedRun) -> None:
 
 
 def _store(file: Any, group: str, times: Array, **values: Array) -> None:
-    """Write samples and their times as float64 with gzip compression, like the recorder."""
+    """Write samples and their times as float64 with gzip compression."""
     for name, samples in {"time_stamp": times, **values}.items():
         file.create_dataset(f"{group}/{name}", data=samples, compression="gzip")

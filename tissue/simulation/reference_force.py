@@ -1,9 +1,9 @@
-"""Reference force of a device, without latency, filter and coarse model.
+"""Force that a haptic device would receive without latency and filter, and with a fine model.
 
-The forces of runs with a hand are compared with this force. Errors are measured at the motor, after
-transport, zero-order hold and amplifier. There, the played force is compared with the reference
-force at the same time. Each error is reported with its lower bound. The lower bound is the error of
-a perfect prediction from the same encoder steps, after the same low-pass and amplifier.
+This reference force is compared with the force of a run. The two forces are compared at the motor
+of the device, after transport, zero-order hold and amplifier. Each error is reported with a lower
+bound. The lower bound is the error of a perfect prediction that is computed from the quantised
+encoder positions and passes the low-pass and the amplifier.
 """
 
 from collections.abc import Mapping
@@ -55,14 +55,14 @@ PROMPT: dict[str, object] = {
 
 
 def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Scene:
-    """Return a scene without latency, with the same coupling stiffness and the finest model.
+    """Return a copy of a scene without latency and filter, and with the finest model.
 
     Parameters
     ----------
     scene
         Scene with a device.
     finest
-        Settings of the converged model, keyed by dotted name, such as ``{"voxels.spacing_mm":
+        Settings of the finest model, keyed by dotted scene key, such as ``{"voxels.spacing_mm":
         0.05}``.
 
     Raises
@@ -84,13 +84,13 @@ def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Sce
 def ideal_force_N(
     run: Run, finest: Mapping[str, object] | None = None, *, cores: int | None = None
 ) -> Array:
-    """Compute the force [N], shape (n, 3), of the ideal loop for the device motion of a run.
+    """Compute the force of a loop without latency for the device motion of a run.
 
-    The ideal loop has no latency and the finest model; see `ideal_scene`. The device moves as in
-    the run, so the force difference does not include the reaction of a hand to the ideal force. A
-    simulated device provides its true motion; for other devices, the motion that the encoders read
-    is used. The ideal loop cuts its own tissue, so the remaining tissue may differ from the
-    remaining tissue in the run.
+    The result is the force in each tick [N], shape (n, 3). This ideal loop also has no filters and
+    the finest model; see `ideal_scene`. The device moves as in the run. The difference of the
+    forces therefore does not include the reaction of a hand to the ideal force. A simulated device
+    provides its true motion; for other devices, the motion that the encoders read is used. The
+    ideal loop simulates the tissue again, so more or less tissue may be removed than in the run.
 
     Raises
     ------
@@ -115,16 +115,16 @@ def ideal_force_N(
 def rendered_force_N(parts: Parts, ticks: int) -> Array:
     """Compute the force of the renderer in each tick [N], shape (ticks, 3).
 
-    This is the force before prediction, filter and delay. The result equals the columns
-    ``raw_force`` of a run of the same parts bit for bit. The computation takes about half of the
-    time of such a run. The motion of the device is given and does not depend on the force.
-    Prediction, filter, limits, output and record are therefore skipped.
+    The result is the force before prediction, filter and delay. It is bit for bit equal to the
+    trace columns ``raw_force`` of a run of `parts`. The computation takes about half of the time of
+    a run, because it skips all later stages of the force. It can skip them because the motion of
+    the device does not depend on the force.
 
     Parameters
     ----------
     parts
-        Tool on a device that plays no force, and tissue whose model computes a new response in
-        every tick.
+        Objects that simulate the scene. Their device must not apply a force, and their tissue must
+        compute a response in every tick.
     ticks
         Number of ticks.
     """
@@ -149,10 +149,10 @@ def rendered_force_N(parts: Parts, ticks: int) -> Array:
 def stretch_force_N(run: Run) -> Array:
     """Compute the force of the coupling spring in each tick of a run [N], shape (n, 3).
 
-    This is the force that the run would have without latency. It is computed from the encoder
-    positions and the model of the run. For a cutting tool, the estimate of the position observer
-    replaces the encoder position; see `WallLoop.observes`. A predictor receives this force if the
-    model computes a new response in every tick.
+    The result is the force that the run would have without latency, for its encoder positions and
+    its model. For a cutting tool, the estimate of the position observer replaces the encoder
+    position; see `WallLoop.observes`. If the tissue model responds in every tick, a predictor
+    receives this force.
 
     Raises
     ------
@@ -194,7 +194,9 @@ def played_force_N(trace: Table) -> Array:
 
 
 class MotorForces(NamedTuple):
-    """Mean forces at the motor in each tick except the last one [N], each of shape (n - 1, 3).
+    """Mean forces at the motor of a device in each tick except the last one.
+
+    Each force has shape (n - 1, 3), in newtons.
 
     Attributes
     ----------
@@ -203,10 +205,9 @@ class MotorForces(NamedTuple):
     ideal
         Force without latency at the true device position.
     nearest
-        Force that would arrive at the motor if the force from `stretch_force_N` were predicted
-        perfectly over its delay to the motor. The error of this force is the lower bound for forces
-        from the same encoder steps. A played force may still have a smaller error if it smooths the
-        encoder steps more.
+        Force at the motor for a perfect prediction of the result of `stretch_force_N`. The error of
+        this force is the lower bound for forces that are computed from the encoder positions. A
+        force of a run may still have a smaller error if it smooths the encoder steps more.
     sent
         Force that the device received, after compression to the device's range and scaling for a
         person.
@@ -220,14 +221,15 @@ class MotorForces(NamedTuple):
 
 @suggests_arguments
 def motor_forces(run: Run, ideal_N: Array | None = None) -> MotorForces:
-    """Compute the force that a device played, and reference forces [N].
+    """Compute the force at the motor of a device in a run, and reference forces.
 
-    The ideal force has no latency, no encoder steps and no filters. The device moves as in the run.
+    The reference force `ideal` has no latency, no encoder steps and no filters. It is computed for
+    the device motion of the run.
 
     Parameters
     ----------
     run
-        Run with a simulated hand, simulated in this process.
+        Run with a simulated hand that was simulated in this process and not read from a folder.
     ideal_N
         Result of `ideal_force_N`. If it is not given, the scene is simulated again.
 

@@ -1,4 +1,4 @@
-"""Run that was just simulated or read from a folder; both have the same interface."""
+"""Result of a simulation, or of reading a folder of a run, with the same interface."""
 
 import os
 import platform
@@ -50,15 +50,15 @@ Part = TypeVar("Part")
 class Run:
     """Run that was just simulated, or read from a folder by `load`.
 
-    Data of a run from a folder are read at their first use. An `InputError` is raised if the folder
-    does not contain the data.
+    Data of a run from a folder are read at their first use. If the folder does not contain the
+    data, an `InputError` is raised.
 
     Parameters
     ----------
     scene
         Simulated scene.
     parts
-        Tissue, motion and voxels of the simulation.
+        Objects that simulated the scene, such as the motion and the tissue model.
     trace, timing
         Tables with one row per tick; columns are keyed by name: ``run.trace["force_z_N"]``.
     events
@@ -86,7 +86,7 @@ class Run:
     path_distance_mm: dict[str, float] | None = None
     draw: "Callable[[Run, Path, str], list[str]] | None" = None
     begun: RunFolder | None = None
-    """Folder that received the rows during the run; None after the run was saved there."""
+    """Folder that received the trace during the run; None after the run was saved there."""
     _saved: SavedRun | None = None
     _compute = "cpu"
 
@@ -116,7 +116,7 @@ class Run:
         Parameters
         ----------
         path
-            Folder of a run. A run that was stopped early can be read too.
+            Folder of a run, which may have been stopped early.
 
         Raises
         ------
@@ -153,7 +153,7 @@ class Run:
 
     @cached_property
     def parts(self) -> Parts:
-        """Tissue, motion and voxels of the simulation; not available for a run from a folder."""
+        """Objects that simulated the scene; not available for a run that was read from a folder."""
         raise InputError(
             "run",
             "be simulated in this process to have its parts",
@@ -173,7 +173,7 @@ class Run:
 
     @property
     def problem(self) -> str:
-        """Cause of a failed or interrupted run; empty for other runs or an unknown cause."""
+        """Cause of a failed or interrupted run; empty for a complete run or an unknown cause."""
         return str(self.summary.get("problem", ""))
 
     @property
@@ -234,9 +234,10 @@ class Run:
 
     @property
     def summary(self) -> Summary:
-        """Figures of the run, as in ``summary.json``.
+        """Results of the run, with the same entries as ``summary.json``.
 
-        The figures include volumes, forces, tick times, missed deadlines, scheduling and notes.
+        The entries include removed volumes, forces, durations of ticks, missed deadlines,
+        scheduling and notes.
         """
         if self._saved is not None:
             return self._saved.summary | {"status": self._saved.status}
@@ -290,7 +291,7 @@ class Run:
         return found
 
     def _timing_figures(self) -> Summary:
-        """Return the entries of the summary on tick times, missed deadlines and scheduling."""
+        """Return the summary's entries about tick times, missed deadlines and scheduling."""
         ticks = self.timing["tick_us"]
         late = np.zeros(len(ticks))
         exposed_s = 1e-6 * float(ticks.sum())
@@ -336,7 +337,7 @@ class Run:
         return voxel_image(self.volume, self.remaining)
 
     def discard(self, why: str) -> None:
-        """Release a run that will not be saved, and mark its folder as interrupted."""
+        """Release a run that will not be saved, and mark the run in its folder as interrupted."""
         if self.begun is not None:
             self.begun.interrupt(why)
 
@@ -349,14 +350,15 @@ class Run:
         overwrite: bool = False,
         progress: Progress | None = None,
     ) -> Path:
-        """Write the folder of the run; docs/files.md describes the files.
+        """Write the run into a folder.
 
-        A run that was read from a folder is copied.
+        The page docs/files.md describes the files. If the run was read from a folder, its files are
+        copied.
 
         Parameters
         ----------
         out
-            Folder to write.
+            Folder into which the run is written.
         formats
             Additional formats: ``parquet``, ``npz``, ``mat`` or ``h5`` for the trace; ``recording``
             for the run in the layout of volumetric_drilling.
@@ -408,7 +410,7 @@ class Run:
         overwrite: bool,
         report: Progress,
     ) -> None:
-        """Write the folder of a simulated run, or complete a folder that the run began to write."""
+        """Write the folder of a simulated run, or complete the folder that the run has begun."""
         from tissue.simulation.bone_files import write_bone, write_carving
         from tissue.simulation.recording import write_formats
         from tissue.simulation.vtk_files import write_fields
@@ -452,7 +454,7 @@ class Run:
         return saved_voxels(self._files)
 
     def _required(self, part: Part | None, name: str) -> Part:
-        """Return data of the folder; raise an error if the data are missing."""
+        """Return data that were read from the folder; raise an error if the data are missing."""
         if part is None:
             raise InputError(
                 "run", f"hold {name}", f"{self._files.path} without it", "run the scene again"
@@ -461,7 +463,7 @@ class Run:
 
 
 def load_figures(trace: Table) -> dict[str, dict[str, float]]:
-    """Return the peak, and the mean in contact, of force [N] and torque [N m].
+    """Return the peak of force [N] and torque [N m], and the mean of both during contact.
 
     The trace must have at least one row.
     """

@@ -1,4 +1,4 @@
-"""Folder of a run: preparation, writing during the run, its summary, and reading."""
+"""Folder of a run: writing of the folder during the run, and reading of its files."""
 
 import json
 import shutil
@@ -74,30 +74,30 @@ PICTURES = (
     "section",
     "wall",
 )
-"""Names of pictures that any run may have; an anatomy may have additional pictures."""
+"""Names of pictures that any run may write; an anatomy may have additional pictures."""
 
 
 class _Entries(BaseModel):
-    """Base of the entries that are checked in a summary."""
+    """Base class for the validation of a part of a summary."""
 
     model_config = ConfigDict(strict=True, allow_inf_nan=False)
 
 
 class _Event(_Entries):
-    """Event of a run."""
+    """Event of a run in a summary."""
 
     time_s: float
     what: str
 
 
 class _Load(_Entries):
-    """Figures of force or torque."""
+    """Peak and mean of force or torque in a summary."""
 
     peak: float
 
 
 class _WrittenSummary(_Entries):
-    """Entries that every summary has, and entries with default values."""
+    """Entries of every summary, and optional entries with default values."""
 
     scene: str
     status: Literal["running", "complete", "interrupted", "failed"]
@@ -113,7 +113,7 @@ class _WrittenSummary(_Entries):
 
 
 class _CompleteSummary(_WrittenSummary):
-    """Additional entries of a complete run."""
+    """Additional entries in the summary of a complete run."""
 
     simulated_s: float
     force_N: _Load
@@ -128,7 +128,7 @@ def run_file_names() -> tuple[str, ...]:
 
 
 def named_as_run_files(path: Path) -> set[str]:
-    """Return the names of plain files in a folder that are named like files of a run."""
+    """Return the names of files in a folder that have the name of a file of a run."""
     found = {
         each.relative_to(path).as_posix() for name in run_file_names() for each in path.glob(name)
     }
@@ -153,11 +153,12 @@ def picture_format(pictures: bool | str) -> str | None:
 
 
 class RunFolder:
-    """Folder into which a run is written, locked against other processes until the run has ended.
+    """Folder into which a run is written; other processes cannot write into it during the run.
 
-    A folder that holds a run is refused unless `overwrite` is set. Only files that the marker file
-    of the folder lists are replaced or removed. A folder that contains other files with the same
-    names is refused. `begin` is the first method that changes the folder.
+    An error is raised for a folder that holds another run, unless `overwrite` is set. The marker
+    file of a folder lists the files that a run wrote. Only these files are replaced or removed. An
+    error is also raised if a file of the run would have the name of an unlisted file. `begin` is
+    the first method that changes the folder.
 
     Parameters
     ----------
@@ -169,8 +170,8 @@ class RunFolder:
     Raises
     ------
     InputError
-        If the folder holds another run or files that no run wrote, or if another process writes
-        into it.
+        If the folder holds another run, holds files that no run wrote, or is locked by another
+        process.
     """
 
     def __init__(self, path: Path, *, overwrite: bool) -> None:
@@ -181,7 +182,7 @@ class RunFolder:
 
     @staticmethod
     def check(path: Path, *, overwrite: bool) -> None:
-        """Refuse a folder into which a run cannot be written."""
+        """Raise an error if a run cannot be written into a folder."""
         require_folder(path, "run", run_file_names(), overwrite=overwrite)
 
     def begin(self, scene: Scene, placement: Placement | None = None) -> None:
@@ -199,7 +200,10 @@ class RunFolder:
 
     @contextmanager
     def ending(self) -> Iterator[None]:
-        """If an error ends the block, write the cause to the summary and release the folder."""
+        """Enter a ``with`` block; if an error ends it, write the cause to the summary.
+
+        The folder is then also released.
+        """
         try:
             yield
         except BaseException as error:
@@ -212,7 +216,7 @@ class RunFolder:
             raise
 
     def _stopped(self, error: BaseException) -> None:
-        """Mark a run that has begun as interrupted or failed."""
+        """Mark the run as interrupted or failed, if it has begun."""
         if not self._summary:
             return
         if isinstance(error, KeyboardInterrupt):
@@ -235,7 +239,7 @@ class RunFolder:
         ]
 
     def flush(self, row_count: int, *, force: bool = False) -> None:
-        """Write the rows so far to disk, unless the last flush was recent."""
+        """Write the rows so far to disk; do nothing if the last write was recent."""
         for writer in self._writers:
             writer.flush(row_count, force=force)
 
@@ -279,15 +283,15 @@ class SavedRun:
     scene
         Scene of the run; None if its file is missing.
     trace
-        Trace up to the last complete row; None if its file is missing.
+        Trace with all rows that were written completely; None if its file is missing.
 
     Raises
     ------
     InputError
         If the folder holds no run, a run of another version, or a damaged summary, scene or trace.
-        The error is also raised if the run was made with a part that is not registered, such as a
-        hand. The trace of a complete run counts as damaged if its number of rows does not agree
-        with the duration of the run.
+        The error is also raised if the run used a user-defined object that is not registered, such
+        as a hand. The trace of a complete run counts as damaged if its number of rows does not
+        agree with the duration of the run.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -319,7 +323,10 @@ class SavedRun:
 
 
 def _saved_scene(file: Path) -> Scene:
-    """Load the scene of a saved run; an error names the run and its unregistered part."""
+    """Load the scene of a saved run.
+
+    If a user-defined object in the scene is not registered, the error names the object and the run.
+    """
     try:
         return load_scene(file)
     except InputError as error:
@@ -333,7 +340,7 @@ def _saved_scene(file: Path) -> Scene:
 
 
 def saved_placement(path: Path) -> Placement | None:
-    """Return the pose of the scene in the frame of the bone and field files of a run.
+    """Return the pose of the scene in the frame in which a run wrote its bone and field files.
 
     The result is None if both frames are the same.
 
@@ -347,10 +354,10 @@ def saved_placement(path: Path) -> Placement | None:
 
 
 def _remark(scene: Scene, placement: Placement | None) -> str:
-    """Return the pose of the scene in the anatomy's file as TOML comments.
+    """Return TOML comments with the pose of the scene in the frame of the anatomy's file.
 
-    If the anatomy has keys for its site, a user can copy three of the comments as keys. The scene
-    then keeps this site.
+    If the anatomy has keys for its site, a user can copy three of the comments into the scene to
+    fix the site.
     """
     if placement is None:
         return ""
@@ -373,9 +380,9 @@ def _remark(scene: Scene, placement: Placement | None) -> str:
 
 
 def added_to_run(path: Path) -> OwnedFolder:
-    """Return the folder of a finished run, for a ``with`` block that changes the files in it.
+    """Return a context manager that allows changes of the files of a finished run.
 
-    The folder is locked during the block.
+    The folder is locked during the ``with`` block.
     """
     return OwnedFolder(path, "run", (), shared=run_file_names())
 
@@ -411,7 +418,7 @@ def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> 
 def _files_of_run(path: Path) -> list[str]:
     """Return the names of the files that a run wrote into its folder.
 
-    For a run without a marker file, these are the files that are named like files of a run.
+    If the folder has no marker file, files are recognised by their names.
     """
     written = listed_files(path).get("run", named_as_run_files(path))
     return sorted(name for name in written if (path / name).is_file())

@@ -1,4 +1,4 @@
-"""Fields of a saved run: names, units, ranges over the run, and the mesh at any time."""
+"""Fields of a saved run, such as stress: names, units, colour scales, and meshes over time."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
     import pyvista
 
 PEAK = 99.8
-"""Percentile of a cell field at the upper end of the colour scale.
+"""Percentile of the cell values of a field at the upper end of its colour scale.
 
-Single cells at the tool have larger values.
+Only single cells at the tool have larger values.
 """
 SPAN = 1e-3
-"""Smallest ratio of lowest to highest stress in a logarithmic colour scale (three decades)."""
+"""Smallest ratio of lower to upper end of a logarithmic colour scale (three decades)."""
 FAINT = 5.0
 """Percentile of the stress at the lower end of a logarithmic colour scale.
 
-It is computed in the frame with the largest stress, and was chosen by judgement.
+The percentile is computed in the frame with the largest stress. The value was chosen by judgement.
 """
 UNITS = {
     "mm3_s": "mm³/s",
@@ -47,17 +47,20 @@ UNITS = {
     **{unit: unit for unit in ("mm", "m", "Pa", "kPa", "MPa", "mN", "N", "J", "mJ", "K")},
     **{unit: unit for unit in ("s", "ms", "W", "Hz", "rpm")},
 }
-"""Notation of units, keyed by the end of a field or column name; compound units come first."""
+"""Notation of units, keyed by the end of a field name or column name.
+
+Compound units come first, because their names end with the names of simple units.
+"""
 IN_MM = {"um": 1e-3, "mm": 1.0, "m": 1e3}
 DISPLACEMENT = "displacement_"
 STRESS = "von_mises_"
 
 
 def field_label(name: str) -> tuple[str, str]:
-    """Return words and unit of a field or column name: ``("von Mises", "kPa")`` for
-    ``von_mises_kPa``.
+    """Return words and unit of a field or column, such as ``("von Mises", "kPa")``.
 
-    The unit is empty for a name without a unit.
+    The example is for the name ``von_mises_kPa``. For a name without a unit, the unit is an empty
+    text.
     """
     unit = next((unit for unit in UNITS if name.endswith(f"_{unit}")), "")
     words = name.removesuffix(f"_{unit}") if unit else name
@@ -76,9 +79,10 @@ def field_names(folder: Path) -> list[str]:
 
 
 def require_whole(saved: SavedRun, *, surfaces: bool = False) -> None:
-    """Check that the bone and the frames of a run, and its surfaces if requested, are not damaged.
+    """Check that the files with the bone and the frames of a run are not damaged.
 
-    The check is needed because a damaged file can make VTK end this process.
+    If `surfaces` is True, the files with surfaces are also checked. The check is needed because a
+    damaged file can make VTK end this process.
 
     Raises
     ------
@@ -116,9 +120,9 @@ class SavedFields:
     times_s
         Times of the frames [s], in increasing order.
     names
-        Names of fields that can be shown: one number or one vector per cell or node. Von Mises
-        stress comes first, then the other cell fields, then the node fields. For a vector, the
-        magnitude is shown.
+        Names of the fields that can be drawn. These fields have one number or one vector per cell
+        or node. Von Mises stress comes first, then the other cell fields, then the node fields. For
+        a vector, the magnitude is drawn.
     layer_names
         Names of the layers or parts to which cells belong.
     displacement
@@ -176,7 +180,7 @@ class SavedFields:
         return float(self.frames[0].length) if self.frames else 0.0
 
     def at(self, time_s: float) -> "tuple[pyvista.UnstructuredGrid, float]":
-        """Return the mesh at a time, and the time to which its values belong [s].
+        """Return the mesh at a time [s], and the time to which the values of the mesh belong [s].
 
         Values are interpolated linearly between two frames of the same mesh. If cells were removed
         between the frames, the earlier frame is returned.
@@ -203,8 +207,9 @@ class SavedFields:
         return mesh, float(time_s)
 
     def moved_mm(self, mesh: "pyvista.DataSet") -> Singles:
-        """Return the displacement of the nodes [mm], shape (nodes, 3); zero if there is no such
-        field.
+        """Return the displacement of the nodes, shape (nodes, 3), in mm.
+
+        The displacement is zero if the run has no displacement field.
         """
         if self.displacement is None or self.displacement not in mesh.point_data:
             return np.zeros((mesh.n_points, 3), dtype=np.float32)
@@ -222,7 +227,7 @@ class SavedFields:
         )
 
     def limits(self, name: str) -> tuple[float, float]:
-        """Return the ends of the colour scale of a field for the whole run; see `field_limits`."""
+        """Return the two ends of a field's colour scale for the whole run; see `field_limits`."""
         if name not in self._limits:
             values = [
                 one for frame in self.frames if (one := field_values(frame, name)) is not None
@@ -232,11 +237,11 @@ class SavedFields:
 
 
 def field_limits(name: str, values: Sequence[Singles]) -> tuple[float, float]:
-    """Return the ends of the colour scale of a field, from arrays of its values.
+    """Return the two ends of a field's colour scale, computed from arrays of its values.
 
     The scale is symmetric about 0 if there are positive and negative values. For von Mises stress
-    the scale is logarithmic and begins above 0. The reason is that this stress decreases by several
-    powers of ten with the distance from a tool.
+    the scale is logarithmic and begins above 0. The reason is that the stress decreases by several
+    powers of ten with the distance from the tool.
     """
     values = [one[np.isfinite(one)] for one in values]
     values = [one for one in values if one.size]

@@ -1,6 +1,6 @@
 """Scheduling of a run: scheduling gaps, processor cores and kernel launches.
 
-A scheduling gap is a time in which the system did not run the thread of the ticks.
+A scheduling gap is a time in which the system did not run the thread that runs the ticks.
 """
 
 from collections.abc import Callable
@@ -14,9 +14,10 @@ from tissue.models.tissue_model import SchedulesBackground, TissueModel
 
 SPUN_S = 0.3
 SPUN_SHARE = 0.1
-"""Largest ratio of the time for which the clock is polled to the simulated time.
+"""Largest time for which the clock is polled, divided by the simulated time.
 
-The clock is polled before and after the ticks, each time for at most `SPUN_S`.
+The clock is polled before the ticks, and again after the ticks. Each of these measurements takes at
+most `SPUN_S`.
 
 The ratio limits the additional time of a short run. Both values were chosen by judgement.
 """
@@ -29,7 +30,7 @@ A reading takes 0.1 us.
 
 @dataclass(frozen=True)
 class MachineGaps:
-    """Scheduling gaps (times in which the system did not run the thread), from polls of the clock.
+    """Times in which the system did not run the thread (scheduling gaps), measured by polling.
 
     Attributes
     ----------
@@ -81,12 +82,12 @@ def spin(seconds: float, *, now: Callable[[], float] = perf_counter) -> MachineG
 
 
 def spin_time_s(simulated_s: float) -> float:
-    """Return the time to poll the clock before and after the ticks of a run [s]."""
+    """Return the time for which the clock is polled before a run, and again after the run [s]."""
     return min(SPUN_S, SPUN_SHARE * simulated_s)
 
 
 class Scheduling:
-    """Measurement of the scheduling of one run, made just before the first tick.
+    """Measurement of the scheduling of one run, to be created just before the first tick.
 
     Parameters
     ----------
@@ -107,11 +108,11 @@ class Scheduling:
         self._before = self._after = launch_counts()
 
     def end(self) -> None:
-        """Record the numbers of kernel launches at the end of the ticks."""
+        """Record how many kernels were launched up to the end of the ticks."""
         self._after = launch_counts()
 
     def look_again(self) -> None:
-        """Poll the clock again, after background work has ended."""
+        """Poll the clock again, after the work in the background has ended."""
         if self._spin_s > 0.0:
             self.gaps += spin(self._spin_s)
 

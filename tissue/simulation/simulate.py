@@ -1,4 +1,4 @@
-"""Simulation of a scene: build of motion and tissue, and run of the loop."""
+"""Simulation of a scene: build its motion and tissue, and run the loop of ticks."""
 
 import gc
 from collections.abc import Sequence
@@ -60,10 +60,10 @@ class RunObserver:
     """Base class of observers; each method does nothing until it is overridden."""
 
     timing_columns: tuple[str, ...] = ()
-    """Columns that the observer adds at the end of the timing table, and fills in each tick.
+    """Names of columns that the observer adds to the timing table and fills in each tick.
     """
     paces: bool = False
-    """True if the observer starts the ticks according to the wall clock."""
+    """True if the observer starts the ticks in real time."""
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Prepare for a run of `parts`; `columns` are the column names of the trace."""
@@ -72,11 +72,11 @@ class RunObserver:
         """Wait until a tick may begin."""
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Read the rows of trace and timing for a tick; return whether the run continues."""
+        """Read the trace row and the timing row of a tick; return True if the run continues."""
         return True
 
     def on_event(self, time_s: float, what: str) -> None:
-        """Handle an event (time [s] and sentence) in the tick in which the tissue reports it."""
+        """Handle an event (time [s] and sentence) that the tissue reports in this tick."""
 
     def on_end(self) -> Events:
         """Release resources, also after an error, and return the events of the observer.
@@ -119,16 +119,16 @@ def simulate(
     allow_unstable
         Whether to run a device even if the check predicts that its coupling is unstable.
     device
-        Device object that is read and commanded. It replaces the simulated device in a simulated
-        hand. The stability check uses the limits of the device that the scene names. If the object
-        is a context manager, the run enters and exits it, so pass the object without ``with``. To
-        use a device for several runs, pass ``held`` from ``with SafeDevice(device) as held``. The
-        ticks run in a second thread. The last command to the device is zero, even if an error ends
-        the ticks; see `tissue.haptics.device.safe_device.SafeDevice`.
+        Device object that replaces the simulated device and hand of the scene. The stability check
+        uses the limits of the device named in the scene. If the object is a context manager, the
+        run enters and exits it, so pass the object without ``with``. To use a device for several
+        runs, pass ``held`` from ``with SafeDevice(device) as held``. The ticks run in a second
+        thread. The last command to the device is zero, even if an error ends the ticks; see
+        `tissue.haptics.device.safe_device.SafeDevice`.
     observers
-        Observers that are called in every tick, in this order. They are prepared and ended in
-        reverse order, because the first observer of a live run takes over Ctrl-C after all other
-        observers have begun.
+        Observers that are called in every tick, in this order. Their method `on_begin` is called in
+        reverse order. The reason is that the first observer of a live run must take over Ctrl-C
+        after all other observers have begun.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def simulate(
 def _require_runnable(
     scene: Scene, *, cores: int | None, device: Device | SafeDevice | None
 ) -> None:
-    """Check the number of cores, and that the scene states its settings and the given device."""
+    """Raise an error if a scene cannot be run with the given number of cores and device."""
     if cores is not None and not 1 <= cores <= MOST_CORES:
         # The value in the message is cut, because a number may have thousands of digits.
         raise InputError(
@@ -210,7 +210,7 @@ def _require_runnable(
 
 
 def _use_device(device: Device | SafeDevice, scene: Scene, motion: Motion) -> None:
-    """Replace the simulated device and hand of a motion by a caller's device."""
+    """Replace the simulated device and hand of a motion by a given device."""
     assert isinstance(motion, HandMotion), "a scene with a device"
     kind = scene.held.kind
     require_stated_rate(
@@ -224,7 +224,7 @@ def _use_device(device: Device | SafeDevice, scene: Scene, motion: Motion) -> No
 
 
 def _break_throughs(parts: Parts, trace: Table) -> list[BreakThrough]:
-    """Return the break-throughs of a tool that cuts, up to the end of the simulated region."""
+    """Return the break-throughs of a cutting tool while it is in the simulated region."""
     if parts.volume is None or parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
         return []
     left = None if parts.region_end is None else parts.region_end.left_tick
@@ -307,7 +307,8 @@ def _run_ticks(
 def _prediction_note(trace: Table, motion: HandMotion) -> dict[str, str]:
     """Return a note on the error of the predicted forces.
 
-    There is no note if there was no contact, or if the model does not respond in every tick.
+    There is no note if the tool was not in contact, or if the tissue model does not respond in
+    every tick.
     """
     predicted = trace.vectors("predicted_force", "N")
     raw = trace.vectors("raw_force", "N")
@@ -333,7 +334,7 @@ def _prediction_note(trace: Table, motion: HandMotion) -> dict[str, str]:
 def tick_count(scene: Scene, motion: Motion) -> int:
     """Return the number of ticks of a run.
 
-    If the whole motion is run, additional time for the delay of a hand is included.
+    If the run contains the whole motion, additional time for the delay of a hand is included.
     """
     seconds = scene.duration_s or motion.duration_s
     if seconds > LONGEST_S:
@@ -395,7 +396,7 @@ def build(
 
 
 def builder_of(kind: str) -> TissueBuilder:
-    """Return the function that builds the objects of a run with a given kind of anatomy."""
+    """Return the function that builds the objects of a run for a kind of anatomy."""
     from tissue.simulation.builders import cutting, organ_scene
 
     outside: TissueBuilder | None = ANATOMIES[kind].build

@@ -1,4 +1,4 @@
-"""Trace of a run with one row per tick: table, CSV file written during the run, other formats."""
+"""Trace of a run with one row per tick: table in memory, and files in several formats."""
 
 import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -20,26 +20,28 @@ from meshes.base.text_tables import number_in, require_distinct_columns
 from meshes.base.whole_file import claim, whole_file
 
 FLUSH_EVERY_S = 0.1
-"""Longest time between two flushes [s].
+"""Longest time between two writes of new rows to disk [s].
 
-If the process is killed, at most the rows of this time (on the wall clock) and of one tick are
-lost.
+If the process is killed, at most the rows of this time and of one tick are lost.
 """
 NO_LAYER = "none"
 AGAIN = "run the scene again"
 LEAST_LOAD = 1e-12
-"""Smallest force [N] and torque [N m] in a trace; smaller values are written as 0.
+"""Smallest force [N] or torque [N m] in a trace; smaller values are written as 0.
 
 A filter produces such small values after the end of a contact.
 """
 TIMING_COLUMNS = ("tick_us", "motion_us", "remove_us", "force_us", "record_us", "catch_up_us")
 Columns = dict[str, NDArray[np.generic]]
 RECORDING = "recording"
-"""Name of the format for other programs; see `tissue.simulation.recording`."""
-WRITERS = {"parquet": ("pyarrow", "parquet"), "h5": ("h5py", "h5"), RECORDING: ("h5py", "h5")}
-"""Pairs of the package that writes a format and the extra of tissue that installs the package.
+"""Name of the format in which a run is recorded for other programs.
 
-The keys are the formats.
+See `tissue.simulation.recording`.
+"""
+WRITERS = {"parquet": ("pyarrow", "parquet"), "h5": ("h5py", "h5"), RECORDING: ("h5py", "h5")}
+"""Package that writes a format, and the extra of tissue that installs the package.
+
+The dict is keyed by the name of the format.
 """
 
 
@@ -93,7 +95,7 @@ class Table(Mapping[str, NDArray[Any]]):
         return np.column_stack([self[f"{name}_q{c}"] for c in "xyzw"])
 
     def lines(self, first: int, last: int) -> str:
-        """Return rows as CSV text, from which the numbers can be read back bit for bit."""
+        """Return rows as CSV text with enough digits to read the numbers back bit for bit."""
         text = []
         names = [*map(_cells, ([name] for name in self.layer_names)), NO_LAYER]
         for row in self.rows[first:last].tolist():
@@ -120,7 +122,7 @@ class TraceWriter:
     path
         File to write.
     table
-        Table whose rows the run fills.
+        Table whose rows are filled during the run.
     """
 
     def __init__(self, path: Path, table: Table) -> None:
@@ -133,7 +135,7 @@ class TraceWriter:
         self._write(_cells(table.columns) + "\n")
 
     def flush(self, row_count: int, *, force: bool = False) -> None:
-        """Write the first ``row_count`` rows to disk, unless the last flush was recent."""
+        """Write the first ``row_count`` rows to disk; do nothing if the last write was recent."""
         now = perf_counter()
         if force or now - self._flushed_at > FLUSH_EVERY_S:
             text = self._table.lines(self._written, row_count)
@@ -143,7 +145,7 @@ class TraceWriter:
             self._write(text)
 
     def _write(self, text: str) -> None:
-        """Write text to disk; the error for a failed write names the file."""
+        """Write text to disk; if this fails, raise an error that names the file."""
         try:
             self._file.write(text)
             self._file.flush()
@@ -158,14 +160,14 @@ class TraceWriter:
 
 @dataclass(frozen=True)
 class TraceLayout:
-    """Indices of the quantities in a row of the trace, in the order of the columns.
+    """Indices of the columns of the trace, grouped by quantity.
 
     Attributes
     ----------
     columns
         Names of all columns, which end with the unit.
     time, removal_rate, removed, contact, layer
-        Index of the column with this quantity.
+        Index of the column of the quantity that the name of the attribute states.
     tip, quaternion, velocity, spin
         Indices of the columns of the pose, the velocity and the spin of the tool.
     commanded, wrench
@@ -238,13 +240,13 @@ def load_columns(columns: tuple[str, ...]) -> NDArray[np.intp]:
 
 
 def check_format(kind: str) -> None:
-    """Refuse an unknown format, or a format whose package is not installed.
+    """Check that a format is known and that the package for the format is installed.
 
     Raises
     ------
     InputError
-        If the format cannot be written. The message shows the known formats, or the extra to
-        install.
+        If the format is unknown or its package is missing. The message shows the known formats, or
+        the extra to install.
     """
     if kind not in (*FORMATS, RECORDING):
         known = ", ".join((*FORMATS, RECORDING))
@@ -377,7 +379,7 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
 
 
 def _line_error(path: Path, row: int, wanted: str, got: object) -> InputError:
-    """Return the error for a row of a table."""
+    """Return the error for an invalid row of a CSV file."""
     where = f"{got} in line {row + 2} of {path}"
     return InputError(path.name, wanted, where, f"fix that line or {AGAIN}")
 

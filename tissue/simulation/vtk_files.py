@@ -1,9 +1,9 @@
-"""VTK files of a run: conversion between the frames of scene and anatomy file, writers, fields.
+"""VTK files of a run: writing, reading, and conversion to the frame of the anatomy's file.
 
-Coordinates are converted to the unit of the anatomy's file. Quantities whose name contains a unit
-are not converted. Point arrays of three numbers are vectors and are rotated. Cell arrays are not
-rotated, because principal stresses are three numbers but not a vector. The functions that write
-files raise an error if the disk is full.
+Coordinates are converted to the frame and unit of the file from which the anatomy was read.
+Quantities whose name contains a unit are not converted. Point arrays of three numbers are vectors
+and are rotated. Cell arrays are not rotated, because the three numbers of a cell may be principal
+stresses, which are not a vector. The functions that write files raise an error if the disk is full.
 """
 
 from collections.abc import Iterable
@@ -123,7 +123,7 @@ def write_vtk(writer: "vtkXMLWriter | vtkSTLWriter", data: "pyvista.DataSet", pa
 
 
 def write_collection(entries: Iterable[tuple[float, int, str]], path: Path) -> None:
-    """Write a .pvd file for ParaView, with time [s], part and file of each mesh."""
+    """Write a .pvd file for ParaView from the time [s], part number and file of each mesh."""
     lines = [
         f'    <DataSet timestep="{time!r}" part="{part}" file="{file}"/>\n'
         for time, part, file in entries
@@ -138,13 +138,13 @@ def write_collection(entries: Iterable[tuple[float, int, str]], path: Path) -> N
 
 
 def read_collection(index: Path) -> list[tuple[float, int, str]]:
-    """Read times [s], parts and files from a .pvd file that a run wrote.
+    """Read the times [s], part numbers and files of meshes from a .pvd file that a run wrote.
 
     Raises
     ------
     InputError
-        If the file cannot be read, its times and parts are not in order, or it lists a file that is
-        missing or outside its folder.
+        If the file cannot be read, its times or part numbers are not in order, or a listed file is
+        missing or outside the folder.
     """
     from xml.etree import ElementTree
 
@@ -173,7 +173,7 @@ def _points(mesh: "pyvista.PointSet") -> Array:
 
 
 def _moved(mesh: Mesh, points: Array, turn: Array) -> Mesh:
-    """Return a copy of a mesh with other points and rotated vectors (rows times `turn`)."""
+    """Return a copy of a mesh with new points, and with vectors v replaced by v @ turn."""
     import pyvista
 
     moved = mesh.copy(deep=False)

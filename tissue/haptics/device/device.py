@@ -26,36 +26,36 @@ class Sample(NamedTuple):
 
 
 class DeviceError(InputError):
-    """Error of a device that violates the interface.
+    """Error of a device that fails or does not follow the interface `Device`.
 
-    The message is one sentence. It names the call, the observed behaviour and the remedy.
+    The message is one sentence with the failed call, the observed behaviour and the remedy.
     """
 
 
 class Device(Protocol):
-    """Haptic device: position in, force out.
+    """Interface of a haptic device, which provides a position and receives a force.
 
-    A haptic loop needs only the methods `read` and `command`. It calls them through
+    A haptic loop needs only the methods `read` and `command`. The loop calls both through
     `tissue.haptics.device.safe_device.SafeDevice`. If the device is a context manager, the loop
-    enters it before the first read, and leaves it after the last command, which is zero. Do not
-    enter such a device in a ``with`` statement of your own before a run, because it would be opened
-    twice. Use ``with SafeDevice(device) as held`` instead. A device may have a method ``close()``
-    that removes all force without calling ``command``. The loop calls ``close()`` if ``command``
-    fails, possibly from another thread.
+    enters it before the first read. The loop leaves it after the last command, which is zero force.
+    Do not enter such a device in your own ``with`` statement before a run, because the device would
+    be opened twice. Use ``with SafeDevice(device) as held`` instead. A device may also have a
+    method ``close()`` that removes all force without calling ``command``. If ``command`` fails, the
+    loop calls ``close()``, possibly from another thread.
     """
 
     def read(self, time_s: float) -> Sample | None:
         """Return the newest sample at the time ``time_s``, or None if there is no sample."""
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play a force and a torque on the hand, in the world frame, until the next command."""
+        """Apply a force and a torque, in the world frame, to the hand until the next command."""
 
 
 @runtime_checkable
 class KnowsTruth(Protocol):
-    """Device that knows its true position and the force on the hand, such as a simulated device.
+    """Device that provides its true position and the force on the hand, such as a simulated device.
 
-    The samples of such a device are quantised by the encoders.
+    In contrast, the positions in the samples are quantised by the encoders.
     """
 
     @property
@@ -74,7 +74,7 @@ class KnowsTruth(Protocol):
 
 @runtime_checkable
 class StatesPlayed(Protocol):
-    """Device that may play less than the commanded force, and reports the played force."""
+    """Device that may apply less than the commanded force, and reports the applied force."""
 
     @property
     def played(self) -> tuple[Array, Array]:
@@ -87,9 +87,10 @@ class StatesPlayed(Protocol):
 
 
 class ComputedDevice:
-    """Base class of devices that only compute, such as simulated and recorded devices.
+    """Base class of devices without hardware, such as simulated and recorded devices.
 
-    The calls of such a device return at once. Leaving its ``with`` block commands zero force.
+    The methods of such a device only compute and return at once. At the end of its ``with`` block,
+    zero force is commanded.
     """
 
     in_process = True
@@ -102,32 +103,35 @@ class ComputedDevice:
         self.command(np.zeros(3), np.zeros(3))
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """Ignore a force and a torque, because the device has no motors."""
+        """Ignore the force and the torque, because the device has no motors."""
 
 
 @suggests_arguments
 @dataclass(frozen=True, kw_only=True)
 class DeviceParameters:
-    """Physical parameters and limits of a device, equal in all directions.
+    """Physical parameters and limits of a device.
+
+    Each value is valid for all directions.
 
     Attributes
     ----------
     mass_kg, damping_N_s_m, friction_N
         Apparent mass [kg], viscous friction [N s/m] and Coulomb friction [N] at the tip.
     encoder_step_m
-        Position resolution of the encoders [m]; 0 for exact positions. A trained predictor uses the
-        operator for this step.
+        Position resolution of the encoders [m]; 0 for exact positions. A trained predictor of the
+        force is selected for this resolution.
     force_limit_N
         Largest force [N].
     force_slew_N_ms
         Largest change of the commanded force [N/ms].
     rate_Hz
-        Samples and force updates per second. A device with a higher rate than the ticks is read
-        once a tick. With a lower rate, each force is held until the next sample of the device.
+        Samples and force updates per second. With a rate above 1 kHz, the device is read once in
+        each tick of 1 ms. With a lower rate, each force is held until the next sample of the
+        device.
     transport_delay_s
         Time from a sample to the force computed from it, in addition to the zero-order hold [s].
     amplifier_Hz
-        Bandwidth of the amplifiers; infinite for no lag.
+        Bandwidth of the motor amplifiers [Hz]; infinite for no lag.
     inertia_kg_m2, damping_Nm_s_rad, friction_Nm, encoder_step_rad
         Apparent inertia [kg m2], viscous friction [N m s/rad], Coulomb friction [N m] and encoder
         resolution [rad] of the rotation.
@@ -136,7 +140,7 @@ class DeviceParameters:
         a device with three degrees of freedom. The rotation of such a device follows the hand
         freely.
     stiffness_limit_N_m, damping_limit_N_s_m, stiffness_limit_Nm_rad
-        Limits in the vendor's software. They are reported and not enforced.
+        Limits in the vendor's software. They are reported, but not enforced by this package.
     workspace_width_m, workspace_height_m, workspace_depth_m
         Edge lengths of the box in which the tip can be moved [m].
     """
@@ -188,7 +192,7 @@ class DeviceParameters:
     ) -> WallLoop:
         """Return the loop used to check the stability of a virtual wall on this device.
 
-        The loop contains no Coulomb friction, no encoder steps and no hand.
+        The returned loop has no Coulomb friction, no encoder steps and no hand.
         """
         return WallLoop(
             mass_kg=self.mass_kg,
@@ -204,7 +208,7 @@ class DeviceParameters:
 
     @property
     def workspace_m(self) -> Array:
-        """Edges of the workspace in ascending order [m], shape (3,)."""
+        """Edge lengths of the workspace in ascending order, shape (3,), in metres."""
         return np.sort([self.workspace_width_m, self.workspace_height_m, self.workspace_depth_m])
 
     def turning_loop(
@@ -216,7 +220,7 @@ class DeviceParameters:
     ) -> WallLoop:
         """Return the loop used to check the stability of a rotational spring on this device.
 
-        The loop has rotational units.
+        The values in the returned loop have units of rotation, such as N m/rad.
         """
         loop = self.loop(stiffness_Nm_rad, filter_s=filter_s, model_ticks=model_ticks)
         return replace(loop, mass_kg=self.inertia_kg_m2, damping_N_s_m=self.damping_Nm_s_rad)
@@ -236,23 +240,26 @@ def device_parameters(name: str, constants: Materials = Materials.cited) -> Devi
 
 
 FURTHER = 3.0
-"""Ratio of an arm's reach to the diagonal of its published workspace.
+"""Reach of a device's arm divided by the diagonal of its published workspace.
 
 The Touch has a published workspace of 160 x 120 x 70 mm, but its arm moves in 431 x 348 x 165 mm.
-Positions of a Touch that are wrongly given in millimetres exceed the computed reach after a motion
-of 0.6 mm.
+If positions of a Touch are given in millimetres by mistake, a motion of 0.6 mm already exceeds the
+computed reach.
 """
 UNSTATED_M = 3.0
-"""Reach of a device without a published workspace [m]: more than the length of an arm."""
-MOST_WRONG = 20
-"""Number of consecutive samples beyond the reach that is treated as an error of the device.
+"""Assumed reach of a device without a published workspace [m].
 
-A single wrong sample is a temporary fault, which the sample guard handles.
+The value is larger than the length of a human arm.
+"""
+MOST_WRONG = 20
+"""Number of consecutive samples beyond the reach after which an error is raised.
+
+A single such sample is a temporary fault, which `SampleGuard` handles.
 """
 
 
 class Reach:
-    """Check that the positions of a device stay within the reach of its arm.
+    """Check whether the positions of a device stay within the reach of its arm.
 
     Parameters
     ----------
@@ -273,19 +280,19 @@ class Reach:
         self._wrong = 0
 
     def restart(self) -> None:
-        """Use the next position as the first one."""
+        """Use the next position as the centre of the reach."""
         self._first = None
         self._wrong = 0
 
     def require(self, position_m: Triple, *, samples: int = MOST_WRONG) -> None:
-        """Check a position [m], and raise an error if the device stays beyond its reach.
+        """Check a position [m], and raise an error after several positions beyond the reach.
 
-        ``samples`` is the number of consecutive positions beyond the reach that raises the error.
+        The error is raised after ``samples`` consecutive positions beyond the reach.
 
         Raises
         ------
         DeviceError
-            If the device is out of its reach.
+            If the device is beyond its reach.
         """
         # The sample guard reports a position that is not finite.
         if not isfinite(sum(position_m)):
@@ -307,5 +314,8 @@ class Reach:
 
 
 def reach_of(device: object, limits: DeviceParameters) -> Reach | None:
-    """Return the reach of a device; None if the device bounds its positions or has no arm."""
+    """Return the check of a device's reach; None if the device needs no such check.
+
+    No check is needed if the device bounds its positions itself or has no arm.
+    """
     return None if getattr(device, "bounds_itself", False) else Reach(limits)

@@ -26,16 +26,16 @@ from tissue.motion.quaternion import (
 
 
 class RecordedDevice(ComputedDevice):
-    """Device that replays a table of poses at 1 kHz and ignores commanded forces.
+    """Device that plays back a table of poses at 1 kHz, and ignores commanded forces.
 
-    Between the given times, positions are interpolated linearly, and orientations along the
-    shortest rotation.
+    Between the given times, positions are interpolated linearly. Orientations are interpolated
+    along the shortest rotation.
 
     Parameters
     ----------
     times_s
-        Increasing times [s], shape (n,). Before the first and after the last time there is no
-        sample.
+        Increasing times [s], shape (n,). The device has no sample before the first time and after
+        the last time.
     positions_m
         Positions [m], shape (n, 3).
     quaternions
@@ -62,7 +62,7 @@ class RecordedDevice(ComputedDevice):
         ]
 
     def read(self, time_s: float) -> Sample | None:
-        """Return the last recorded sample at or before a time; None outside the recording."""
+        """Return the sample of the last tick at or before a time; None outside the recording."""
         # 1e-9 s allows for rounding of the first and the last time.
         if not self._first - 1e-9 <= time_s <= self._last + 1e-9:
             return None
@@ -74,7 +74,7 @@ class RecordedDevice(ComputedDevice):
 RESPONSE_S = 0.03
 """Time constant with which the pose of a `MouseDevice` follows the pointer [s].
 
-The value is about the time between two frames of a window (1/30 s). With a shorter time constant,
+The value is about the time between two pictures of a window (1/30 s). With a shorter time constant,
 each new pointer position would be visible as a jerk.
 """
 
@@ -82,10 +82,10 @@ each new pointer position would be visible as a jerk.
 class MouseDevice(ComputedDevice):
     """Device driven by positions from a window, smoothed to a continuous motion.
 
-    The window sends pointer positions at its own rate. Between two of these positions, the pose
-    follows the last position as a critically damped second-order system. The solution is exact for
-    a constant target. Position, orientation and velocities are therefore continuous at any rate of
-    the window.
+    The window sends pointer positions at its own rate. Until the next pointer position, the pose
+    follows the last pointer position as a critically damped second-order system. The motion is
+    computed exactly for a constant target. Position, orientation and velocities are therefore
+    continuous at any rate of the window.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class MouseDevice(ComputedDevice):
     """
 
     bounds_itself = True
-    """True: the reach is not checked, because no arm bounds the pointer of a mouse."""
+    """True, so the reach of the device is not checked; a mouse pointer has no arm."""
 
     def __init__(self, position_m: Triple = NOTHING) -> None:
         self._target = position_m
@@ -104,13 +104,13 @@ class MouseDevice(ComputedDevice):
     def push(self, position_m: Triple, quaternion: Quaternion = UPRIGHT) -> None:
         """Set the position [m] and orientation of the pointer.
 
-        The thread of a window may call this method.
+        This method may be called from the thread of a window.
         """
         self._target = position_m
         self._turned = quaternion
 
     def read(self, time_s: float) -> Sample | None:
-        """Follow the last pointer position until ``time_s``, and return the sample."""
+        """Move the pose towards the pointer up to ``time_s``, and return the new sample."""
         last = self._sample
         target = self._target
         turned = self._turned
@@ -131,7 +131,7 @@ class MouseDevice(ComputedDevice):
 
 
 def _followed(offset: Sequence[float], speed: Triple, step_s: float) -> tuple[Triple, Triple]:
-    """Return the motion in a step towards a target at ``offset``, and the speed after the step."""
+    """Return the displacement in a step towards ``offset``, and the velocity after the step."""
     fade = exp(-step_s / RESPONSE_S)
     rate = 1.0 / RESPONSE_S
     slope = [v - rate * away for away, v in zip(offset, speed, strict=True)]
@@ -143,14 +143,17 @@ def _followed(offset: Sequence[float], speed: Triple, step_s: float) -> tuple[Tr
 
 FaultKind = Literal["dropped", "late", "duplicated", "non-finite", "wild"]
 WILD_M = 1e9
-"""Position of a wild sample [m]: finite, but far beyond the reach of any device."""
+"""Position of a faulty sample of kind ``wild`` [m]: finite, but beyond any device's reach."""
 LATE_READS = 5
-"""Delay of a late sample [reads]: twice the age at which a sample guard rejects it."""
+"""Delay of a faulty sample of kind ``late``, in reads.
+
+The delay is twice the age at which `SampleGuard` rejects a sample.
+"""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """Kind of fault of the samples between two times [s]."""
+    """Fault of a device's samples: its kind, and the times [s] at which it begins and ends."""
 
     kind: FaultKind
     start_s: float
@@ -158,9 +161,9 @@ class Fault:
 
 
 class FaultyDevice:
-    """Wrapper that makes the samples of a device faulty at given times.
+    """Wrapper of a device that makes its samples faulty at given times, for tests.
 
-    At these times, samples are dropped, late, repeated, non-finite or wild (1e9 m).
+    During a fault, samples are dropped, late, repeated, non-finite or wild (position of 1e9 m).
     """
 
     def __init__(self, device: Device, faults: Sequence[Fault]) -> None:
@@ -172,7 +175,7 @@ class FaultyDevice:
 
     @property
     def in_process(self) -> bool:
-        """True if the wrapped device only computes."""
+        """True if the wrapped device only computes, so that its methods cannot block."""
         return bool(getattr(self._device, "in_process", False))
 
     def __enter__(self) -> Self:
@@ -184,7 +187,7 @@ class FaultyDevice:
         self._stack.close()
 
     def read(self, time_s: float) -> Sample | None:
-        """Return the device's sample, changed by the fault at this time."""
+        """Return the sample of the wrapped device, changed by the fault at this time."""
         sample = self._device.read(time_s)
         self._past.append(sample)
         kind = next(
@@ -203,5 +206,5 @@ class FaultyDevice:
         return sample
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """Pass the command to the device."""
+        """Pass the command to the wrapped device."""
         self._device.command(force_N, torque_Nm)

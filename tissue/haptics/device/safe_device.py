@@ -1,4 +1,4 @@
-"""Safe operation of a device in a loop: timed, slew-limited, and without force at the end."""
+"""Safe operation of a device in a haptic loop, which ends without force on the hand."""
 
 import contextvars
 import signal
@@ -26,74 +26,75 @@ from tissue.system.stopping import (
 )
 
 RAMP_S = 0.03
-"""Time in which the last force is ramped to zero if the loop still runs [s].
+"""Time in which the last force is ramped to zero at a regular end of the loop [s].
 
-After a sudden loss of force the hand would jump. The ramp is shorter than `STALL_S`, so that the
-force is always removed within 50 ms, however the loop ends.
+Without a ramp, the hand would jump. The ramp is shorter than `STALL_S`, so that the force is
+removed within 50 ms in every case.
 """
 STALL_S = 0.05
 """Longest time without a command before the force is removed [s].
 
-In the network protocol of this package, a device that receives nothing removes its force after the
-same time.
+The network protocol of this package uses the same time: a device that receives no packet for 50 ms
+removes its force.
 """
 GIVE_UP_S = 1.0
 """Longest duration of a read or a command before the device is treated as lost [s].
 
-The force is already removed after `STALL_S`. After this longer time, the user no longer has to wait
-for the device.
+The force is already removed after `STALL_S`. The longer time limits how long a user waits for the
+device.
 """
 OPENING_S = 10.0
-"""Longest duration of opening a device, including search, connection and wake-up [s].
+"""Longest time for opening a device [s], including search, connection and wake-up.
 
-The slowest built-in adapter waits for 5 s.
+The slowest adapter of this package waits for at most 5 s.
 """
 ANSWER_S = 0.2
-"""Longest duration of closing the device, or of a command of zero from a second thread [s].
+"""Longest time for closing a device, or for commanding zero force from a second thread [s].
 
-The second thread waits for a lock, for the command and for the close, at most this time for each of
-them. The sum of 0.6 s is less than `GIVE_UP_S`.
+The second thread waits at most this time for a lock, then for the command, and then for the close.
+The sum of 0.6 s is less than `GIVE_UP_S`.
 """
 OPENED = ", and give it without `with`: the run opens and closes it"
 IDLE = ("", inf)
-"""Name and start time of the running call, as stored while no call is running."""
+"""Stored name and start time of the running call while no call is running."""
 
 
 class SafeDevice:
     """Wrapper of a device that guarantees zero force and torque as the last command.
 
-    ``with SafeDevice(device) as held:`` enters the device if it is a context manager. At a normal
-    end and after `stop`, the force is ramped to zero in `RAMP_S`. After an exception, the force is
-    zero at once. If the command of zero force fails and the device has the method ``close``, the
-    device is closed. An exception of the device becomes a `DeviceError`.
+    ``with SafeDevice(device) as held:`` enters the device if it is a context manager. At a regular
+    end of the block and after `stop`, the force is ramped to zero in `RAMP_S`. After an exception,
+    the force is set to zero at once. If the command of zero force fails and the device has the
+    method ``close``, the device is closed. An exception in a method of the device is converted to a
+    `DeviceError`.
 
-    A loop can receive ``held`` in place of the device. The device is then already entered. The loop
-    does not leave the device, but ends with zero force. One ``with`` block can therefore hold a
-    device for many runs.
+    A loop accepts ``held`` instead of the device. In this case, the loop neither enters nor leaves
+    the device, but ends with zero force. One ``with`` block can therefore hold a device for many
+    runs.
 
     A device that is not ``in_process`` may block. Another thread must then call `stop_if_stuck`
-    frequently. This method commands zero force if no command was sent for `STALL_S`. It gives up
-    the device if a call lasts longer than `GIVE_UP_S`, or if opening the device lasts longer than
-    `OPENING_S`.
+    frequently. This method commands zero force if no command was sent for `STALL_S`. It also gives
+    up the device if a read or command takes longer than `GIVE_UP_S`, or if opening takes longer
+    than `OPENING_S`.
 
     Parameters
     ----------
     device
-        Device with ``read`` and ``command``, or a `SafeDevice` that holds one.
+        Device with ``read`` and ``command``, or a `SafeDevice` that wraps a device.
     tick_s
         Time between two commands [s].
     limits
-        Largest slew rates of force and torque. Without limits, force and torque may change at once.
+        Device parameters with the largest slew rates of force and torque. With None, the slew rates
+        are not limited.
 
     Attributes
     ----------
     entered
         True inside the ``with`` block.
     released
-        True if another thread has commanded zero force since the last timely read.
+        True if another thread has commanded zero force since the last read that was in time.
     slow_reads, slowest_read_s
-        Number of reads that took longer than a tick, and duration of the longest of these reads
-        [s].
+        Number of reads that took longer than a tick, and the longest duration of such a read [s].
     """
 
     def __init__(
@@ -126,7 +127,7 @@ class SafeDevice:
         self._closed = False
 
     def happened(self) -> list[tuple[float, str]]:
-        """Return slow reads, slew-limited commands, and events of the device.
+        """Return events: slow reads, slew-limited commands, and the events that the device reports.
 
         Each entry is a time [s] and a sentence.
         """
@@ -181,7 +182,7 @@ class SafeDevice:
             raise problem
 
     def read(self, time_s: float) -> Sample | None:
-        """Return the device's newest sample; None if a slow read made the sample too old.
+        """Return the device's newest sample; None if the sample is too old after a slow read.
 
         Raises
         ------
@@ -208,9 +209,9 @@ class SafeDevice:
         return sample if took <= 2.5 * self._tick else None
 
     def play(self, force_N: Array, torque_Nm: Array) -> tuple[Array, Array]:
-        """Send a force [N] and a torque [N m] to the device, within the slew limits.
+        """Send a force [N] and a torque [N m], limited in slew rate, to the device.
 
-        Return the force and the torque that the device plays.
+        The method returns the force and the torque that the device applies.
 
         Raises
         ------
@@ -231,13 +232,13 @@ class SafeDevice:
         return (force, torque) if self._states is None else self._states.played
 
     def stop(self, reason: BaseException) -> None:
-        """Make the next read raise ``reason``; the force is then ramped to zero."""
+        """Make the next call of `read` raise ``reason``; the force is then ramped to zero."""
         self._stop = reason
 
     def stop_if_stuck(self) -> DeviceError | None:
-        """Remove the force, or give up the device, if the loop in another thread is stuck.
+        """Remove the force, or give up the device, if the loop in another thread is blocked.
 
-        Return the error if the device was given up.
+        The method returns the error if the device was given up.
         """
         now = perf_counter()
         if now - self._played > STALL_S:
@@ -256,7 +257,7 @@ class SafeDevice:
         return self._lost
 
     def release(self) -> None:
-        """Command zero force from a second thread; close the device if the command fails."""
+        """Command zero force from a second thread; if the command fails, close the device."""
         self._played = inf
         self.released = True
         self._releases += 1
@@ -289,7 +290,7 @@ class SafeDevice:
 
     @contextmanager
     def _calling(self, name: str) -> Iterator[None]:
-        """Record the start of a call, and convert its exception into a `DeviceError`."""
+        """Record the start of a call, and convert an exception of the call to a `DeviceError`."""
         self._call = (name, perf_counter())
         try:
             yield
@@ -301,7 +302,7 @@ class SafeDevice:
     def _ramp(self) -> None:
         """Ramp the last force linearly to zero.
 
-        For a device that is ``in_process``, the ramp does not wait in real time.
+        For a device that is ``in_process``, the commands of the ramp are sent without waiting.
         """
         force = self._force.value
         torque = self._torque.value
@@ -337,7 +338,7 @@ class SafeDevice:
         return problem
 
     def _close(self) -> str:
-        """Close the device permanently, and return the outcome as part of a sentence."""
+        """Close the device permanently; return text that completes a sentence on the outcome."""
         close = getattr(self.device, "close", None)
         if self._closed:
             return ""
@@ -353,7 +354,7 @@ class SafeDevice:
         )
 
     def _failed(self, name: str, error: Exception) -> DeviceError:
-        """Return an exception of the device as a DeviceError of one sentence."""
+        """Return the `DeviceError` for an exception of the device."""
         # The message of this error is already a sentence for the user.
         if isinstance(error, InputError):
             return DeviceError(str(error))
@@ -367,20 +368,20 @@ class SafeDevice:
 
 
 POLL_S = 0.01
-"""Interval between two checks [s], a fifth of `STALL_S`.
+"""Interval between two checks for a stuck loop [s], a fifth of `STALL_S`.
 
 A check delays the ticks by some microseconds.
 """
 
 
 def run_held(work: Callable[[], None], held: SafeDevice) -> None:
-    """Run ``work``, the loop of a device, and ensure that no force remains at the end.
+    """Run the loop ``work`` of a device, and ensure that no force remains at its end.
 
-    A device that may block runs in a second thread, because a blocked call cannot be interrupted.
-    The calling thread commands zero force if the loop hangs. It gives up a device that does not
-    answer, and then no longer waits for ``work``. Ctrl-C ends the loop after the present tick. The
-    same holds for signals that ask the process to end, such as SIGTERM and the SIGHUP of a closed
-    terminal. The signal handlers are restored before this function returns.
+    If the device may block, the loop runs in a second thread, because a blocked call cannot be
+    interrupted. If the loop hangs, the calling thread commands zero force. If the device then does
+    not answer, the calling thread gives up the device and no longer waits for ``work``. Ctrl-C ends
+    the loop after the current tick. Signals that ask the process to end, such as SIGTERM and
+    SIGHUP, have the same effect. The signal handlers are restored before this function returns.
 
     Raises
     ------
@@ -402,7 +403,7 @@ def run_held(work: Callable[[], None], held: SafeDevice) -> None:
 
 
 def _supervise(work: Callable[[], None], held: SafeDevice) -> None:
-    """Run ``work`` in a second thread."""
+    """Run ``work`` in a second thread, and remove the force if this thread does not respond."""
     done = threading.Event()
     raised: list[BaseException] = []
 

@@ -1,6 +1,6 @@
-"""Validation of device samples; without valid samples the force fades to zero.
+"""Validation of device samples, and fading of the force while samples are not valid.
 
-A sample is valid if a human hand could have made the motion.
+A sample is valid if a human hand could have moved the device to its pose.
 """
 
 from math import ceil, dist, isfinite, nan, sqrt
@@ -27,28 +27,28 @@ from tissue.motion.quaternion import (
 )
 
 MEMORY = 8.0
-"""Number of new samples over which the share of rough samples is averaged, see `Roughness`.
+"""Number of samples over which `Roughness` averages the share of rough samples.
 
-Two rough samples in a row, caused by a jump or a blow, give a share of 0.23. Six rough samples give
-a share above `ROUGH`.
+A jump or a blow causes two rough samples in a row, and thus a share of 0.23. Six rough samples give
+a share above the limit `ROUGH`.
 """
 STALE = 0.25
-"""Weight of a sample that only repeats the last sample.
+"""Weight of a sample that repeats the last sample, in the share of rough samples.
 
-With weight 0, a device at rest would never become valid again. A device at 250 Hz repeats each
-sample three times. With weight 1, noise of this device would give a share of rough samples of 0.25,
-and would not be detected. With weight 0.25 the share is 0.57.
+With a weight of 0, the samples of a device at rest would never become valid again. A device at 250
+Hz repeats each sample three times. With a weight of 1, noise of such a device would give a share of
+only 0.25 and would not be detected. With a weight of 0.25, the share is 0.57.
 """
 ROUGH = 0.5
 SMOOTH = 0.05
 """Share of rough samples below which a signal is valid again.
 
-A signal with a share above `ROUGH` is noise.
+A signal is treated as noise when the share exceeds `ROUGH`.
 """
 SHORTEST_S = 2e-3
 """Lower bound of the time span of three samples in `Roughness` [s].
 
-In a shorter span, encoder steps and clock jitter would look like noise.
+In a shorter time span, encoder steps and clock jitter would look like noise.
 """
 
 Place = tuple[float, float, float, float, float]
@@ -56,27 +56,27 @@ Place = tuple[float, float, float, float, float]
 
 
 class Roughness:
-    """Detector of noise in a sequence of samples, based on the acceleration.
+    """Detector of noise in a sequence of samples, based on the acceleration of the motion.
 
     The detector measures the deviation of a sample from the straight line between the previous and
     the next sample. For time steps T and an acceleration a, the deviation is at most a T^2 / 2. A
-    sample is rough if its deviation is larger than this value for the acceleration ``limit``. The
-    signal is treated as noise when more than half of its last samples (exponential mean over 8
-    samples) are rough. The signal is valid again when fewer than a twentieth are rough. A jump, a
+    sample is rough if its deviation is larger than this value with a = ``limit``. The signal is
+    treated as noise when more than half of its last samples (exponential mean over 8 samples) are
+    rough. The signal is valid again when less than a twentieth of its samples are rough. A jump, a
     lost sample, an encoder step or a blow makes at most two samples rough. White noise is detected
     if its standard deviation per axis is larger than about a quarter of the limit times (1 ms)^2.
 
     Parameters
     ----------
     limit
-        Largest acceleration, in the unit of the samples per s^2.
+        Largest acceleration of a valid motion, in the unit of the samples per s^2.
 
     Attributes
     ----------
     noisy
         True if the signal is noise.
     share
-        Share of rough samples among the last samples (exponential mean).
+        Exponential mean of the share of rough samples.
     """
 
     def __init__(self, limit: float) -> None:
@@ -137,25 +137,25 @@ class Roughness:
 MOST_EVENTS = 200
 """Largest number of listed changes between valid and invalid samples.
 
-Without this limit, a device that changes between valid and invalid in every tick would fill the
-memory and the report.
+Without this limit, a device whose samples change between valid and invalid in every tick would fill
+the memory and the report.
 """
 NO_TORQUE = np.zeros(3)
 SHAPES: tuple[tuple[int, ...], ...] = ((), (3,), (3,), (4,), (3,))
 """Shapes of the entries of a `Sample`: time, position, velocity, quaternion and spin."""
 PLAIN = {float, int, np.float64}
-"""Types of numbers that are accepted unchanged; bool is excluded."""
+"""Types of numbers in samples that are accepted without conversion; bool is not accepted."""
 HALF_TURN = 1e-3
-"""Difference between 1 and the x component of a quaternion that means a half-turn about x.
+"""Largest difference of the first quaternion component from 1 that is treated as a half-turn.
 
-A device that gives w as the first component starts near such an orientation. Therefore, a first
-orientation with a smaller difference is reported. The tolerance allows for a rotation of 5 degrees,
-because a device may start near its zero orientation.
+The first component must be x. If a device gives w first, its start orientation looks like a
+half-turn about x. Such a start is therefore listed in the events. The tolerance allows for a start
+orientation of up to 5 degrees.
 """
 UNIT = " (positions must be in metres)"
-"""Hint in messages about a motion that is too fast or too far for a hand.
+"""Hint in messages about a motion that is too fast or too large for a hand.
 
-The cause may be a device that reports millimetres.
+A possible cause is that the device reports positions in millimetres.
 """
 W_FIRST = (
     "the first orientation is half a turn about x. A quaternion is (x, y, z, w); a "
@@ -173,7 +173,7 @@ a larger speed.
 OLDEST_S = 2.5e-3
 """Default age above which a sample is treated as missing [s].
 
-The value is for a device that has a new sample in every tick.
+The value is suitable for a device that has a new sample in every tick.
 """
 ROUGHEST_M_S2 = 2e3
 ROUGHEST_RAD_S2 = 4e4
@@ -181,43 +181,42 @@ ROUGHEST_RAD_S2 = 4e4
 
 The units are m/s^2 and rad/s^2.
 
-Samples that repeatedly require a larger acceleration are noise. A hand, a contact and a device's
-motors cause about 200 m/s^2. A blow causes 1000 m/s^2 for one or two ticks.
+Samples are treated as noise if they repeatedly require a larger acceleration. A hand, a contact and
+a device's motors cause about 200 m/s^2. A blow causes 1000 m/s^2 for one or two ticks.
 """
 FADE_S = 0.02
-"""Time in which a force fades to zero without valid samples, and returns with valid samples [s]."""
+"""Time in which the force fades to zero without valid samples, and in which it returns [s]."""
 
 
 class SampleGuard:
-    """Guard that validates every sample, and limits the force that is computed from a sample.
+    """Guard that validates device samples and limits the force that is computed from a sample.
 
     Call `validate_sample` with the device's sample. Then call `limit_force` with the force for a
-    valid sample, or with None after an invalid one. After an invalid sample, the last valid force
-    fades linearly, to exactly zero after `FADE_S`. Valid samples bring the force back at the same
-    rate. Forces are always bounded. An object of a wrong type or with a wrong number of entries is
-    not a temporary fault but a mistake in the device class, and raises an error.
+    valid sample, or with None after an invalid sample. While samples are invalid, the last valid
+    force fades linearly and is exactly zero after `FADE_S`. With valid samples, the force returns
+    at the same rate. Forces are always bounded. A sample of a wrong type, or with a wrong number of
+    entries, raises an error, because the cause is a mistake in the device class.
 
     Parameters
     ----------
     force_limit_N, torque_limit_Nm
         Largest magnitude of force and of torque. A torque limit of zero blocks all torque.
     oldest_s
-        Age above which a sample is treated as missing [s]. The time of a sample may be in the
-        future by the same amount.
+        Age above which a sample is treated as missing [s]. A sample may also be this much newer
+        than the present time.
 
     Attributes
     ----------
     share
-        Factor, 0 to 1, by which the last valid force is multiplied in this tick. It is below 1
-        while the force fades or returns.
+        Factor, 0 to 1, by which the last valid force is multiplied in this tick. The factor is
+        below 1 while the force fades or returns.
     events
-        Time [s] and a sentence for every change between valid and invalid samples, and for every
-        change of the kind of fault. Only the first 200 changes are listed.
+        Events, each with a time [s] and a sentence, at changes between valid and invalid samples
+        and at changes of the kind of fault. Only the first 200 changes are listed.
     bad_ticks
         Number of invalid samples.
     reach
-        Bound on the positions of valid samples, computed from the device's workspace; None for no
-        bound.
+        Check that positions are within the reach of the device's arm; None for no check.
     """
 
     def __init__(
@@ -254,7 +253,7 @@ class SampleGuard:
         Raises
         ------
         DeviceError
-            If the object is not a `Sample`, if a part of it has a wrong number of entries, or if
+            If the argument is not a `Sample`, if an entry of the sample has a wrong length, or if
             the device leaves its reach.
         """
         turned = None
@@ -283,7 +282,7 @@ class SampleGuard:
     def limit_force(
         self, force_N: Array | None, torque_Nm: Array | None = None
     ) -> tuple[Array, Array]:
-        """Return the force and the torque that the device must play in this tick.
+        """Return the force and the torque that must be sent to the device in this tick.
 
         If the force is None, or if force or torque is not finite, the last force fades in this
         tick.
@@ -309,7 +308,7 @@ class SampleGuard:
             self.events.append((time_s, "further faults occur and are not listed"))
 
     def _fault_of(self, sample: Sample | None, turned: Quaternion | None, time_s: float) -> str:
-        """Return the fault of a sample as a text; empty for a valid sample."""
+        """Return the fault of a sample as text; empty for a valid sample."""
         good = self._good
         if sample is None:
             return "no sample"
@@ -357,7 +356,7 @@ class SampleGuard:
 
 
 def _total(sample: Sample) -> float | None:
-    """Return the sum of all numbers of a sample, which is finite only if all numbers are finite.
+    """Return the sum of all numbers of a sample, to check at once that all numbers are finite.
 
     The result is None if an entry of the sample has a wrong type or a wrong number of entries.
     """
@@ -378,9 +377,9 @@ def _total(sample: Sample) -> float | None:
 
 
 def _repaired(sample: Sample) -> Sample:
-    """Return the sample with its vectors, which may be arrays, converted to tuples of floats.
+    """Return a copy of a sample with its vectors converted to tuples of floats.
 
-    Text or bool, such as "1" or True, raises an error.
+    The vectors may be arrays. Text or bool instead of a number raises an error.
     """
     parts: list[object] = []
     for name, given, shape in zip(Sample._fields, sample, SHAPES, strict=True):
@@ -413,7 +412,7 @@ def _capped(vector: Array, limit: float) -> Array:
 ROUNDING = 1e-9
 """Tolerance in the comparison of times [s] and of numbers of ticks."""
 OLDEST = 2.5
-"""Age at which a sample is treated as missing, relative to the time between two samples.
+"""Age above which a sample is treated as missing, divided by the time between two samples.
 
 The value allows for up to two missing samples and half a period of jitter.
 """
@@ -422,14 +421,14 @@ The value allows for up to two missing samples and half a period of jitter.
 class NewSamples:
     """Detector for the ticks in which a device has a new sample.
 
-    A device with its own clock returns a new sample with a new time. Any other device repeats its
-    last pose with the time of the present tick. A pose of such a device is new if it has changed,
-    or if it was unchanged for the time between two samples.
+    A new sample of a device with its own clock has a new time. Any other device returns its last
+    pose again, with the time of the present tick. For such a device, a pose counts as new if it has
+    changed, or if it was unchanged for the time between two samples.
 
     Parameters
     ----------
     sample_s
-        Time between two samples [s]. With a sample in every tick, each sample is new.
+        Time between two samples [s]. If the device has a sample in every tick, each sample is new.
     """
 
     def __init__(self, sample_s: float) -> None:
@@ -437,7 +436,7 @@ class NewSamples:
         self.pause()
 
     def pause(self) -> None:
-        """Reset after missing samples: the next sample is new."""
+        """Reset after missing samples, so that the next sample counts as new."""
         self._waited = 0
         self._last = Sample(nan, (nan, nan, nan))
 

@@ -1,4 +1,4 @@
-"""Simulated device and the simulated hand that holds it, integrated between the ticks."""
+"""Simulated haptic device in a simulated hand, integrated in steps between the ticks."""
 
 from collections import deque
 from math import ceil, inf, isfinite, sqrt
@@ -22,14 +22,14 @@ from tissue.motion.quaternion import (
 
 
 class Plant:
-    """Moving mass of a device: friction, amplifier, and the spring and damper of a hand.
+    """Dynamics of a device's moving mass with friction and amplifier, held by a spring and damper.
 
-    The axes x, y and z have equal parameters. While the inputs are constant, the linear part is
-    integrated exactly, with the matrix exponential. Coulomb friction is a single force of at most
-    ``friction_N``, opposite to the velocity vector. It is computed implicitly in every substep.
-    Friction either stops the mass, or acts with its full magnitude. Its direction is opposite to
-    the velocity that the mass would have without friction. A mass at rest stays exactly at its
-    position until the other forces exceed the friction.
+    The axes x, y and z have equal parameters. The commanded force and the external force are
+    constant during a step. The linear part of the dynamics is therefore integrated exactly, with
+    the matrix exponential. Coulomb friction is computed implicitly in every substep. It either
+    stops the mass, or acts with its full magnitude ``friction_N``. The direction of the friction
+    force is opposite to the velocity that the mass would have without friction. A mass at rest
+    stays exactly at its position until the other forces exceed the friction.
 
     For a rotation, the units are rad (rotation vector), kg m2, N m s/rad and N m. The code uses
     Python floats, which are several times faster than arrays for three axes.
@@ -44,7 +44,7 @@ class Plant:
     Attributes
     ----------
     position, velocity, motor_force
-        State of the three axes [m], [m/s], [N].
+        Position [m], velocity [m/s] and motor force [N] of the three axes.
     motor_work_J
         Work that the motors have done on the mass so far [J].
     """
@@ -66,18 +66,17 @@ class Plant:
         self._hand: Triple = NOTHING
 
     def hold(self, *, stiffness_N_m: float, damping_N_s_m: float, mass_kg: float) -> None:
-        """Attach the plant to a linear hand; if all values are zero, release the plant.
+        """Attach the mass to a linear hand, or release the mass if all values are zero.
 
-        The hand's spring pulls the plant towards position zero. If the hand's target position is
-        not zero, pass the stiffness times the target position to `advance`, as a part of the
-        external force.
+        The hand's spring pulls the mass towards position zero. If the hand's target position is not
+        zero, add the stiffness times the target position to the external force of `advance`.
         """
         self._hand = (stiffness_N_m, damping_N_s_m, mass_kg)
 
     def advance(
         self, step_s: float, *, command: Triple, external: Triple, substeps: int = 1
     ) -> None:
-        """Advance one step with constant command and external force [N].
+        """Advance one step with constant commanded force and external force [N].
 
         Friction is computed in every substep.
         """
@@ -143,12 +142,12 @@ class SimulatedDevice(ComputedDevice):
     """Simulated device, held by a simulated hand.
 
     The device has its own ticks. At each tick, its encoders sample the position. The velocity is
-    computed from the difference to the previous sample. The last command is held, and reaches the
-    motors after the transport delay. The delay is exact even if it is not a whole number of ticks.
-    Between ticks, the plant (the moving mass) is integrated in smaller steps.
+    computed from the difference of the last two samples. A command reaches the motors after the
+    transport delay, and is held until the next command arrives. The delay need not be a whole
+    number of ticks. Between ticks, the moving mass is integrated in smaller steps.
 
-    A command beyond the largest force or torque is shortened to this limit and counted. A
-    non-finite command is played as zero and counted.
+    A command beyond the largest force or torque is shortened to this limit. A non-finite command is
+    replaced by zero. Both kinds of commands are counted.
 
     Parameters
     ----------
@@ -159,20 +158,20 @@ class SimulatedDevice(ComputedDevice):
     position_m
         Start position [m].
     substeps
-        Integration steps of the plant per tick; they affect only friction. For a simulated hand on
-        a virtual wall, the encoder positions were computed with 5 and with 100 steps. They differ
-        by single encoder steps (RMS 4.5 um).
+        Integration steps of the moving mass per tick; they affect only the friction. For a
+        simulated hand on a virtual wall, encoder positions with 5 and with 100 steps differ by
+        single encoder steps (RMS 4.5 um).
 
     Attributes
     ----------
     translation, rotation
-        Moving masses in translation and rotation, with the true state before the quantisation by
-        the encoders.
+        Moving masses in translation and rotation, with their true states. The encoders read
+        quantised values of these states.
     orientation
         True orientation.
     hand_force_N
-        Force with which the device pushes the hand [N]: the mean over the tick before the last
-        sample, or zeros without a hand.
+        Force with which the device pushes the hand [N], as the mean over the tick before the last
+        sample. Without a hand, the force is zero.
     saturated_ticks, refused_commands
         Number of commands beyond the limits, and number of non-finite commands.
     """
@@ -221,12 +220,12 @@ class SimulatedDevice(ComputedDevice):
 
     @property
     def six_dof(self) -> bool:
-        """True if the device can play a torque."""
+        """True if the device can apply a torque."""
         return self.parameters.torque_limit_Nm > 0.0
 
     @property
     def true_position_m(self) -> Triple:
-        """True position of the tip, before the quantisation by the encoders [m]."""
+        """True position of the tip, which the encoders read with quantisation [m]."""
         return self.translation.position
 
     def read(self, time_s: float) -> Sample | None:
@@ -238,7 +237,7 @@ class SimulatedDevice(ComputedDevice):
         return self._sample
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play a force and a torque from the next tick on, until the next command."""
+        """Apply a force and a torque from the next tick on, until the next command."""
         limits = self.parameters
         self._given = (
             self._limited(force_N, limits.force_limit_N),
@@ -259,7 +258,7 @@ class SimulatedDevice(ComputedDevice):
         return share * x, share * y, share * z
 
     def _advance(self) -> None:
-        """Advance one tick of the device: move the hand and the plants, and read the encoders."""
+        """Advance the hand and the device by one tick of the device, and read the encoders."""
         at = self._tick * self._step
         action = (
             HandAction() if self._hand is None else self._hand.act(at, self.translation.position)
@@ -324,8 +323,8 @@ class SimulatedDevice(ComputedDevice):
     ) -> None:
         """Compute the force on the hand in this tick.
 
-        The force accelerates the mass of the hand, and acts on the spring and the damper of the
-        grip. All terms are means over the tick.
+        The force balances the acceleration of the hand's mass, the spring and damper of the grip,
+        and the hand's own push. All terms are means over the tick.
         """
         grip = self._grip
         moves = self.translation
@@ -352,7 +351,7 @@ class SimulatedDevice(ComputedDevice):
         )
 
     def _hold(self, grip: Grip) -> None:
-        """Attach the device to a grip, or release the device."""
+        """Attach the device to a grip; release the device if all values of the grip are zero."""
         self._grip = grip
         self.translation.hold(
             stiffness_N_m=grip.stiffness_N_m, damping_N_s_m=grip.damping_N_s_m, mass_kg=grip.mass_kg

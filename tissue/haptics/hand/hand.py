@@ -1,4 +1,4 @@
-"""Simulated hand that holds a device: grip, target movement, reflex, tremor and muscle noise."""
+"""Simulated hand that holds a device, with reflex, tremor, and noise of muscles."""
 
 from collections import deque
 from collections.abc import Callable
@@ -17,14 +17,15 @@ from tissue.motion.quaternion import NOTHING, UPRIGHT, Quaternion, Triple
 from tissue.scene.registry import HANDS
 
 Path = Callable[[float], Array]
-"""Function from time [s] to position [m], shape (3,)."""
+"""Function that returns the position, shape (3,), in metres, at a time [s]."""
 
 
 def minimum_jerk(share: float) -> tuple[float, float]:
     """Return position and speed of a minimum-jerk movement (Flash and Hogan, 1985).
 
-    The position at a share s of the duration, from 0 to 1, is 10 s^3 - 15 s^4 + 6 s^5. The speed is
-    its derivative with respect to s. The movement is at rest before 0 and after 1.
+    The argument s = ``share`` is the time divided by the duration of the movement. The position is
+    10 s^3 - 15 s^4 + 6 s^5, and the speed is its derivative with respect to s. Before s = 0 and
+    after s = 1, the speed is zero.
     """
     if share <= 0.0:
         return 0.0, 0.0
@@ -37,9 +38,10 @@ def minimum_jerk(share: float) -> tuple[float, float]:
 
 
 def waypoints(times_s: Array, points_m: Array) -> Path:
-    """Return a path through points [m], shape (n, 3), at increasing times [s].
+    """Return a path through points, shape (n, 3), in metres, at increasing times [s].
 
-    The path is straight between the points, and at rest before the first and after the last time.
+    The path is straight between the points. Before the first time and after the last time, it stays
+    at the first and the last point.
     """
     points = np.asarray(points_m, dtype=float)
     return lambda time_s: np.array(
@@ -49,7 +51,7 @@ def waypoints(times_s: Array, points_m: Array) -> Path:
 
 @runtime_checkable
 class Aiming(Protocol):
-    """Interface of a model that moves the aim, the target position of a simulated hand."""
+    """Interface of a model that moves the aim, which is the target position of a simulated hand."""
 
     def at(self, time_s: float) -> tuple[Triple, Triple]:
         """Return position [m] and velocity [m/s] of the aim; times must not decrease."""
@@ -59,20 +61,20 @@ class Aiming(Protocol):
 class Aim:
     """Movement of the aim (the hand's target position) along a path that is known in advance.
 
-    Every ``correction_s``, a submovement of the duration ``submovement_s`` begins. The target of
-    the submovement is the position of the path at a time half a correction interval before the
-    submovement ends. With this target, a steady movement neither leads nor lags the path.
-    Overlapping submovements are added (Flash and Henis, 1991), so that the acceleration of the aim
-    is continuous. The muscles miss the target by a random error that is proportional to the
-    distance (signal-dependent noise, Harris and Wolpert, 1998). An error is seen and corrected one
+    A submovement of the duration ``submovement_s`` begins after each interval ``correction_s``; see
+    `HandParameters`. Its target is the position of the path half a correction interval before the
+    end of the submovement. With this target, the aim neither leads nor lags a path of constant
+    velocity. Overlapping submovements are added (Flash and Henis, 1991), so that the acceleration
+    of the aim is continuous. A submovement misses its target by a random error that is proportional
+    to its length (signal-dependent noise, Harris and Wolpert, 1998). The error is corrected one
     reaction time later. The first submovement begins one reaction time after the start.
 
     Parameters
     ----------
     path
-        Target position over time.
+        Path that the aim follows: position as a function of time.
     parameters
-        Times and noise of the hand.
+        Parameters of the hand, with the times and the noise of its movements.
     rng
         Random generator of this hand.
     """
@@ -107,7 +109,7 @@ class Aim:
         return (x, y, z), (u, v, w)
 
     def _begin(self, time_s: float) -> None:
-        """Begin the next submovement; remove submovements that have ended and were corrected."""
+        """Begin the next submovement, and remove submovements that are no longer needed."""
         self._next += self._interval
         memory = time_s - max(self._duration, self._reaction)
         while self._moves and self._moves[0][0] <= memory:
@@ -127,13 +129,14 @@ class Aim:
 
 
 BLOCK = 500
-"""Number of ticks whose random numbers are drawn in one call."""
+"""Number of ticks for which random numbers are drawn in one call of the generator."""
 
 
 class Grip(NamedTuple):
-    """Linear part of a simulated hand at the device, in translation and rotation.
+    """Stiffness, damping and mass of a simulated hand at the device.
 
-    All values are zero after the hand has let go.
+    The values are given for translation and rotation. All values are zero after the hand has
+    released the device.
     """
 
     stiffness_N_m: float = 0.0
@@ -145,7 +148,7 @@ class Grip(NamedTuple):
 
 
 class HandAction(NamedTuple):
-    """Action of a simulated hand in a tick: target of the grip (aim), push, and grip."""
+    """Action of a simulated hand in a tick: target position (aim), intended force, and grip."""
 
     aim_m: Triple = NOTHING
     aim_velocity_m_s: Triple = NOTHING
@@ -171,17 +174,19 @@ class HandParameters:
     Attributes
     ----------
     reaction_s, submovement_s, correction_s
-        Reaction time to a change, duration of a submovement, interval between submovements [s].
+        Reaction time, duration of a submovement, and interval between the starts of two
+        submovements [s].
     endpoint_noise, force_noise, force_noise_s
-        Standard deviation of a submovement's end point divided by its distance. Standard deviation
-        of the force noise divided by the force. Correlation time of the force noise [s].
+        Standard deviation of the end point of a submovement, divided by the length of the
+        submovement. Standard deviation of the force noise divided by the force. Correlation time of
+        the force noise [s].
     tremor_m, tremor_Hz, tremor_width_Hz
         Amplitude of the tremor in every axis (root mean square) [m], frequency and bandwidth of the
         tremor [Hz].
     stiffness_N_m, damping_N_s_m, mass_kg
         Stiffness, damping and mass of the grip at the device [N/m], [N s/m], [kg].
     turning_stiffness_Nm_rad, turning_damping_Nm_s_rad, inertia_kg_m2
-        Stiffness, damping and inertia of the grip in rotation.
+        Stiffness [N m/rad], damping [N m s/rad] and inertia [kg m2] of the grip in rotation.
     reflex_share, reflex_s
         Stiffness of the reflex divided by the stiffness of the grip, and delay of the reflex [s].
     """
@@ -215,7 +220,7 @@ class HandParameters:
 
     @property
     def linear_hands(self) -> tuple[LinearHand, ...]:
-        """Linear models of the hand in translation: one without the reflex, one with the reflex.
+        """Linear models of the hand in translation, without and with the reflex.
 
         The reflex may stabilise a loop or make the loop unstable, depending on the frequency at
         which the loop oscillates. The stability of a loop is therefore checked with each of the two
@@ -229,7 +234,7 @@ class HandParameters:
 
     @property
     def grip(self) -> Grip:
-        """Linear part of the hand without the reflex."""
+        """Stiffness, damping and mass of the hand, without the reflex."""
         return Grip(
             self.stiffness_N_m,
             self.damping_N_s_m,
@@ -257,30 +262,31 @@ class Hand:
     """Simulated hand that follows a path.
 
     The result is reproducible for the same state of the random generator. The grip is a spring, a
-    damper and a mass between the aim (the hand's target position) and the device. The device
-    integrates the grip together with its own mass. Four further contributions are added:
+    damper and a mass between the aim (the hand's target position) and the device. The simulated
+    device integrates the grip together with its own mass. Four further contributions are added:
 
-    - A reflex force in proportion to the distance between aim and device one reflex time earlier.
+    - A reflex force, proportional to the distance between aim and device one reflex delay earlier.
     - An intended push.
-    - Noise in proportion to the force that the hand exerts.
-    - A tremor of the aim: a narrow band of Gaussian noise around its frequency.
+    - Noise, proportional to the force that the hand exerts.
+    - A tremor of the aim: narrow-band Gaussian noise around the tremor frequency.
 
     Parameters
     ----------
     parameters
         Parameters of the hand.
     path
-        Target position as a function of time [m], or an object that moves the aim.
+        Path of the target position [m] as a function of time, or an object that moves the aim.
     rng
         Random generator of this hand.
     step_s
         Time between two calls of `act` [s].
     push
-        Intended force as a function of time [N], shape (3,). A jerk is a short and strong force.
+        Function that returns the intended force, shape (3,), in newtons, at a time [s].
     turn
-        Intended orientation as a function of time, a unit quaternion (x, y, z, w).
+        Function that returns the intended orientation, a unit quaternion (x, y, z, w), at a time
+        [s].
     let_go_s
-        Time at which the hand opens [s].
+        Time at which the hand releases the device [s].
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Simulated hand that pushes with an increasing force until it notices that the tissue yields."""
+"""Simulated hands that push: with an increasing force, with a given force, or along a path."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -14,19 +14,19 @@ from tissue.models.tissue_model import TICK_S
 from tissue.motion.quaternion import Triple
 
 THRESHOLDS = 2.0
-"""Drop of the felt force to which a participant reacts [discrimination thresholds] (assumed).
+"""Drop of the felt force to which a participant reacts, in discrimination thresholds.
 
-In comparisons of two forces that differ by one threshold, 75 % of the answers of a participant are
-right. Noticing a drop of this size is too unreliable to end a push.
+The value is assumed. If two forces differ by one threshold, a participant compares them correctly
+in 75 % of the trials. A reaction to a drop of one threshold would be too unreliable.
 """
 
 
 @dataclass
 class FeltDrop:
-    """Detector of a drop of the force below its largest felt value.
+    """Detector of a drop of the felt force below its largest previous value.
 
-    A participant feels the mean force over ``integration_s``. A drop is noticed when this mean is
-    `THRESHOLDS` times kappa (F + F0) below the largest previous mean F.
+    A participant feels the mean force over ``integration_s``. Let F be the largest previous mean. A
+    drop is noticed when the mean is below F by `THRESHOLDS` times kappa (F + F0).
 
     Attributes
     ----------
@@ -54,23 +54,24 @@ class FeltDrop:
 
 
 class PushingHand:
-    """Simulated hand that increases its push along a line at a constant rate, until it stops.
+    """Simulated hand that pushes along a line with a force that increases until the hand stops.
 
-    The aim a(t), the target position of the hand, leads the position s(t) of the device along the
-    line. The grip pushes with K (a - s), where K is the stiffness of grip and reflex. The aim
-    follows the felt motion of the device, and advances relative to this motion with the speed rate
-    / K::
+    The position of the device along the line is s(t). The aim a(t), which is the target position of
+    the hand, is ahead of the device. The grip pushes with K (a - s), where K is the stiffness of
+    grip and reflex. The aim follows the felt motion of the device. In addition, it advances with
+    the speed rate / K::
 
         da/dt = (s(t - r) - s(t - r - w)) / w + rate / K
 
     Here r is the reaction time and w the averaging time of a participant. On a tissue of constant
-    stiffness, the force increases with ``rate``. Stiffness, damping and mass of the grip respond at
-    once to a sudden motion of the device. The reflex responds after the reflex time, and the aim
-    after the reaction time.
+    stiffness, the force increases at the given rate. Stiffness, damping and mass of the grip
+    respond at once to a sudden motion of the device. The reflex responds after the reflex time, and
+    the aim after the reaction time.
 
-    The hand notices an event if the felt force drops, or if `see` is called. It stops one reaction
-    time later. The aim then moves, in one minimum-jerk submovement, to the position that the device
-    has at the stop. Noise and tremor are as in `tissue.haptics.hand.hand.Hand`.
+    The hand notices an event if the felt force drops, or if `see` is called. The hand stops one
+    reaction time after it has noticed an event. The aim then moves, in one minimum-jerk
+    submovement, to the position of the device at the time of the stop. Noise and tremor are as in
+    `tissue.haptics.hand.hand.Hand`.
 
     The felt force is the force that skin and tendons carry: the sum of grip, reflex and noise.
 
@@ -85,7 +86,7 @@ class PushingHand:
     rate_N_s
         Rate of increase of the force [N/s].
     felt
-        Detector of a drop of the force; without it, no drop is noticed.
+        Detector of a drop of the force; None if the hand notices no drop.
     integration_s
         Averaging time of the motion [s].
     rng
@@ -96,7 +97,7 @@ class PushingHand:
     felt_N
         Force on the device along the push [N].
     aim_m, advance_m
-        Positions of the aim and of the device along the push [m].
+        Distances that the aim and the device have moved along the push [m].
     noticed_s, stop_s
         Times at which an event is noticed and the hand stops [s]. Each time is infinite until it is
         known.
@@ -136,7 +137,7 @@ class PushingHand:
             self.stop_s = time_s + self._person.reaction_s
 
     def stop(self, time_s: float) -> None:
-        """Stop at a time, without the reaction time that a human needs."""
+        """Make the hand stop at a time, without a reaction time."""
         self.noticed_s = self.stop_s = time_s
 
     def at(self, time_s: float) -> tuple[Triple, Triple]:
@@ -172,7 +173,7 @@ class PushingHand:
         return sum(a * i for a, i in zip(vector, self._line, strict=True))
 
     def _lead(self, time_s: float) -> None:
-        """Update the speed of the aim."""
+        """Update the speed of the aim from the felt motion of the device."""
         if time_s < self.stop_s:
             follows = (self._past[self._window] - self._past[0]) / (self._window * TICK_S)
             self._speed = follows + self._gain
@@ -186,16 +187,16 @@ class PushingHand:
 
 
 SHARE = 0.35
-"""Share of the tool's visible error by which each correction moves the hand (assumed value).
+"""Share of the tool's visible position error by which a correction moves the hand; assumed.
 
-The value applies to a tool that moves as far as the hand. With 0.5, milling overshoots: the
+The value applies if the tool moves as far as the hand. With a value of 0.5, milling overshoots: the
 sideways error is as large as the wanted depth.
 """
 LEAST_YIELD = 0.6
-"""Smallest ratio of tool motion to hand motion that a simulated operator expects (assumed value).
+"""Smallest ratio of tool motion to hand motion that a simulated operator expects; assumed.
 
-Values from 1 to 0.2 were compared. With this value, reaming is nearly finished (0.2 mm are missing,
-instead of 0.5 mm), and milling does not overshoot.
+Values from 1 to 0.2 were compared. With 0.6, milling does not overshoot, and reaming ends 0.2 mm
+before its target depth, instead of 0.5 mm.
 """
 
 
@@ -204,17 +205,18 @@ class CompensatedPath:
     """Path of a hand that moves beyond the target, so that the tool reaches the target.
 
     If a hand moved only to the target, the tool would stop where spring and resistance balance. At
-    every correction, the hand with this path moves farther by a share of the visible error of the
-    tool. The share is larger if the tool moved less than the hand in the last corrections.
+    every correction, this path therefore moves the hand farther, by a share of the visible position
+    error of the tool. The share is larger if the tool moved less than the hand in the last
+    corrections.
 
     Attributes
     ----------
     path
         Target position of the tool.
     tool
-        Tool on the haptic device, with its present position.
+        Tool that the haptic device moves, with its present position.
     lead_s
-        Time by which the aim reads its path in advance [s].
+        Time by which the simulated hand reads its path in advance [s].
     furthest_m
         Largest distance by which the hand moves beyond the path [m].
     """
@@ -229,7 +231,7 @@ class CompensatedPath:
     _yields: float = 1.0
 
     def __call__(self, time_s: float) -> Array:
-        """Return the target of the hand at a time [s]; each call is a correction."""
+        """Return the hand's target position at a time [s]; each call counts as a correction."""
         # Before this time, the path has not required any motion of the tool.
         if time_s > self.lead_s:
             self._learn()
@@ -246,7 +248,7 @@ class CompensatedPath:
     def _learn(self) -> None:
         """Update the ratio of tool motion to hand motion.
 
-        The hand motion is taken from the correction before the last one.
+        The ratio uses the hand motion of the last but one correction.
         """
         if len(self._aims_m) == 3:
             went = self.tool.tip_m - self._tip_m
@@ -262,20 +264,20 @@ class CompensatedPath:
 
 @dataclass
 class Thrust:
-    """Push with a given force along a line until the tool has completed its path.
+    """Intended force along a line, which ends when the tool has completed its path.
 
-    The hand follows the tool.
+    The target position of the hand follows the tool.
 
     Attributes
     ----------
     start_m, path_m
         Start position and path vector of the tool [m], shape (3,).
     tool
-        Tool on the haptic device, with its present position.
+        Tool that the haptic device moves, with its present position.
     push_N
         Push at the device [N].
     stretch_m
-        Distance of the device in front of the tool under this push [m].
+        Distance by which the device is ahead of the tool under this push [m].
     """
 
     start_m: Array
@@ -293,7 +295,7 @@ class Thrust:
         return min(max(gone, 0.0), 1.0)
 
     def path(self, time_s: float) -> Array:
-        """Return the target of the hand at a time [s]: ``stretch_m`` in front of the tool."""
+        """Return the hand's target position at a time [s]: ``stretch_m`` ahead of the tool."""
         share = self.share
         aim: Array = self.start_m + share * self.path_m
         # Before the start and after the end there is no push, so that the spring is not stretched.
@@ -302,7 +304,7 @@ class Thrust:
         return aim + self.stretch_m * self.path_m / sqrt(self.path_m @ self.path_m)
 
     def push(self, time_s: float) -> Array:
-        """Return the intended force at a time [N]."""
+        """Return the intended force [N], shape (3,), at a time [s]."""
         if self.share == 1.0:
             return np.zeros(3)
         force: Array = self.push_N * self.path_m / sqrt(self.path_m @ self.path_m)

@@ -1,6 +1,6 @@
-"""Stability of a virtual wall on a device, computed from eigenvalues of the sampled loop.
+"""Stability of a virtual wall on a haptic device, from eigenvalues of the sampled loop.
 
-The stability is known before the device runs. The delay of the loop is exact.
+The result is known before the device runs. The delay of the loop is modelled without approximation.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,9 @@ STIFFEST_N_M = 1e8
 """Search range of the critical stiffness: `SOFTEST_N_M` to `STIFFEST_N_M` [N/m]."""
 STEPS = 4
 NARROW_STEPS = 24
-"""Search steps per decade where narrow unstable windows may exist; elsewhere `STEPS`.
+"""Search steps per decade of stiffness where narrow unstable windows may exist.
+
+Elsewhere, `STEPS` steps per decade are used.
 
 A window is a narrow range of stiffness in which the loop is unstable. It may exist where the loop
 oscillates at half the frequency of the vibration of a cutter's teeth. Vibrations of 5 to 60 Hz,
@@ -30,10 +32,10 @@ only windows in which the oscillation grows by less than 1 / 5000 per tick. With
 misses windows in which the oscillation grows by 1 / 700 per tick.
 """
 ON_THE_CIRCLE = 1e-12
-"""Distance below 1 within which the largest eigenvalue is treated as unstable.
+"""Distance below 1 within which the magnitude of an eigenvalue is treated as unstable.
 
-An eigenvalue of exactly 1, a mode that does not decay, may be rounded to slightly less than 1. An
-example is a device on a wall whose force is too small to move the device.
+A mode that does not decay has an eigenvalue of exactly 1, which may be rounded to slightly less
+than 1. For example, the force of a very soft wall does not move the device.
 """
 
 
@@ -45,17 +47,18 @@ class Verdict:
     Attributes
     ----------
     stable
-        True if every mode decays, with every given hand.
+        True if every mode of the loop decays for each of the given hands.
     margin
-        Stability margin 1 - K / K_critical. It is 0 at the stability limit, and negative above the
-        limit.
+        Stability margin 1 - K / K_critical, with the wall stiffness K. The margin is 0 at the
+        stability limit, and negative above the limit.
     critical_N_m
-        Lowest stiffness at which a mode does not decay, with the worst hand [N/m].
+        Lowest stiffness [N/m] at which a mode does not decay, for the hand with the lowest limit.
     nearest_N_m
         The given stiffness if it is stable, otherwise the nearest stable stiffness, rounded down to
         three digits [N/m].
     spectral_radius
-        Growth factor per tick of the mode that decays most slowly, with the worst hand.
+        Growth factor per tick of the mode that decays most slowly, for the hand with the largest
+        factor.
     """
 
     stable: bool
@@ -65,7 +68,7 @@ class Verdict:
     spectral_radius: float
 
     def sentence(self, stiffness_N_m: float) -> str:
-        """Return the verdict as a sentence."""
+        """Return a sentence that describes the stability at a stiffness [N/m]."""
         if self.critical_N_m == inf:
             return f"stiffness {stiffness_N_m:.4g} N/m is stable, and so is every other"
         if self.stable:
@@ -87,7 +90,7 @@ class Verdict:
 class LinearHand(NamedTuple):
     """Linear part of a hand, for the stability analysis of a loop.
 
-    The entries have the same meaning as in `WallLoop`. Without a hand the values are (0, 0, 0).
+    The entries are those of `WallLoop` with the same meaning. Without a hand, all entries are zero.
     """
 
     hand_stiffness_N_m: float
@@ -105,8 +108,8 @@ def in_hands(loop: WallLoop, hands: Sequence[tuple[float, ...]]) -> tuple[WallLo
 def settling_hands(loop: WallLoop, hands: Sequence[LinearHand]) -> tuple[LinearHand, ...]:
     """Return the hands that do not oscillate on the device without a virtual wall.
 
-    The reflex may make a hand oscillate. Such a hand may oscillate with any coupling. It is
-    therefore left out when a coupling is chosen.
+    The reflex may make a hand oscillate even without a wall. Such a hand is not used to choose a
+    coupling stiffness, because the hand may oscillate with any stiffness.
     """
     alone = replace(loop, stiffness_N_m=0.0, wall_damping_N_s_m=0.0, forecast=None)
     return tuple(
@@ -120,10 +123,11 @@ def settling_hands(loop: WallLoop, hands: Sequence[LinearHand]) -> tuple[LinearH
 def critical_stiffness_N_m(loop: WallLoop) -> float:
     """Return the lowest stiffness at which the loop is unstable [N/m].
 
-    The result is 0 if the softest wall is unstable, and inf if no wall is unstable. The search goes
-    upwards with `STEPS` or `NARROW_STEPS` per decade. Brent's method then refines the result
-    between the last two values, with a relative tolerance of 1e-10. A stiffness above the first
-    unstable value is always reported as unstable, even if a stable window exists there.
+    The result is 0 if the softest wall is unstable, and inf if no wall is unstable. The search
+    starts at the softest wall, with `STEPS` or `NARROW_STEPS` steps per decade. Between the last
+    stable and the first unstable value, Brent's method refines the result with a relative tolerance
+    of 1e-10. Each stiffness above the result is reported as unstable, even if stable windows exist
+    there.
     """
     return _critical_N_m(loop.with_stiffness(SOFTEST_N_M))
 
@@ -132,10 +136,11 @@ def critical_stiffness_N_m(loop: WallLoop) -> float:
 # a few kilobytes.
 @lru_cache(maxsize=1024)
 def _critical_N_m(loop: WallLoop) -> float:
-    """Return the critical stiffness from a cache, or compute and store it.
+    """Return the critical stiffness of a loop, with a cache.
 
-    `critical_stiffness_N_m` calls this function with the same stiffness for all loops. The choice
-    of a stiffness and the check of this stiffness therefore need only one search.
+    The result does not depend on the stiffness in `loop`. `critical_stiffness_N_m` therefore
+    replaces this stiffness by a constant, so that the choice and the check of a stiffness need only
+    one search.
     """
     from scipy.optimize import brentq
 
@@ -156,9 +161,9 @@ def _critical_N_m(loop: WallLoop) -> float:
 def _steps(stiffness_N_m: float, loop: WallLoop) -> int:
     """Return the number of search steps per decade above a stiffness.
 
-    With a vibration of frequency f, the steps are smaller for stiffnesses at which the undamped
-    mass oscillates at f / 4 or above. Unstable windows occur where the loop oscillates near f / 2,
-    but damping and delay lower the frequency of the loop.
+    If the loop has a vibration of frequency f, the steps are smaller for stiffnesses at which the
+    undamped mass oscillates at f / 4 or above. Unstable windows occur where the loop oscillates
+    near f / 2, but damping and delay lower the frequency of the loop.
     """
     if loop.vibration is None:
         return STEPS
@@ -168,7 +173,7 @@ def _steps(stiffness_N_m: float, loop: WallLoop) -> int:
 
 
 def nearest_stable_N_m(critical_N_m: float) -> float:
-    """Return a stable stiffness below the critical one, rounded down to three digits [N/m]."""
+    """Return a stable stiffness [N/m] with three digits below the critical stiffness."""
     if not 0.0 < critical_N_m < inf:
         return critical_N_m
     unit = 10.0 ** (floor(log10(critical_N_m)) - 2)
@@ -180,7 +185,8 @@ def nearest_stable_N_m(critical_N_m: float) -> float:
 def judge(loop: WallLoop, hands: Sequence[tuple[float, ...]] | None = None) -> Verdict:
     """Check the stability of a loop.
 
-    If ``hands`` are given (see `in_hands`), the worst of these hands replaces the hand of the loop.
+    If ``hands`` are given (see `in_hands`), these hands replace the hand of the loop. The result is
+    then valid for the worst of these hands.
     """
     loops = (loop,) if hands is None else in_hands(loop, hands)
     critical = min(critical_stiffness_N_m(each) for each in loops)
@@ -192,7 +198,7 @@ def judge(loop: WallLoop, hands: Sequence[tuple[float, ...]] | None = None) -> V
 
 
 def _beyond(stiffness_N_m: float, loop: WallLoop) -> float:
-    """Return the largest eigenvalue minus its limit; a negative result means stability."""
+    """Return the largest eigenvalue minus the stability limit; negative for a stable loop."""
     return largest_eigenvalue(loop.with_stiffness(stiffness_N_m)) - (1.0 - ON_THE_CIRCLE)
 
 
@@ -201,12 +207,12 @@ def passive_bound_N_m(loop: WallLoop) -> float:
 
     A passive wall is stable in any passive hand. The bound is the largest K with b > T / 2 Re{(1 -
     exp(-j w T)) H} / (1 - cos w T) on a grid of frequencies w. b is the damping of the device
-    alone. T is the time for which a force is held; for a slow model, it is the step of the model. H
-    is the transfer function of the wall with stiffness K and damping B, the filter, and a delay of
-    whole steps. A fraction of a step is rounded up to a whole step, and the lag of the amplifier is
-    treated as delay. If a filter changes the held force within a step of a slow model, one more
-    step of delay is added. Without delay and filter, the bound is 2 (b - |B|) / T, for positive and
-    negative B. The result is 0 if no stiffness is passive with this B, delay and filter.
+    alone. T is the time for which a force is held, which is the step of the tissue model for a slow
+    model. H is the transfer function of the wall, with its stiffness K and damping B, of the
+    filter, and of the delay. The delay is rounded up to whole steps and includes the lag of the
+    amplifier. For a slow model with a filter, which changes the held force within a step, one more
+    step of delay is added. Without delay and filter, the bound is 2 (b - |B|) / T. The result is 0
+    if no stiffness is passive.
     """
     step = loop.tick_s * loop.model_ticks
     lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)
@@ -235,8 +241,8 @@ def delay_bound_N_m(loop: WallLoop) -> float:
     """Return the bound K = (b + B) / (T / 2 + t_d) for a delayed wall (Gil et al., 2009) [N/m].
 
     b is the damping of device and hand, B the damping of the wall, T the time for which a force is
-    held, and t_d the delay. With delay, the bound is a first-order estimate and may be larger than
-    the true limit.
+    held, and t_d the delay. For a loop with delay, the bound is a first-order estimate and may be
+    larger than the true limit.
     """
     damping = loop.damping_N_s_m + loop.hand_damping_N_s_m + loop.wall_damping_N_s_m
     return max(damping / (0.5 * loop.tick_s * loop.model_ticks + loop.delay_s), 0.0)
@@ -260,7 +266,7 @@ def quantised_bound_N_m(loop: WallLoop, *, friction_N: float, encoder_m: float) 
 
 
 def pade_bound_N_m(loop: WallLoop) -> float:
-    """Return the critical stiffness with a first-order Padé approximation of the delay [N/m].
+    """Return the critical stiffness [N/m] for a first-order Padé approximation of the delay.
 
     The zero-order hold over the time T and the delay t_d are combined into one delay t = t_d + T /
     2. This delay is approximated as (1 - t s / 2) / (1 + t s / 2). The bound follows from Routh's

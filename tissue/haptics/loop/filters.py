@@ -1,4 +1,4 @@
-"""Processing of a force before the device: low-pass, delay, force range and slew limit."""
+"""Processing of a force on its way to the device: low-pass, delay, range and slew limit."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -10,18 +10,18 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, require_positive, require_range
 
 VELOCITY_MEMORY = 0.85
-"""Memory of the filter that estimates the velocity of a device.
+"""Memory (see `constant_acceleration_map`) of the filter for the velocity of a device.
 
-With the simulated hands of all scenes, this value has the smallest error among filters with at most
-4 ms of delay. The error is 41 % of the velocity, compared with 212 % for the difference of two
-positions; see tests/bench/bench_velocity.py.
+For simulated hands in all scenes, this value has the smallest error of all filters with at most 4
+ms of delay. The error is 41 % of the velocity. For the difference of two positions, the error is
+212 %; see tests/bench/bench_velocity.py.
 """
 OBSERVER_MEMORY = 0.93
-"""Memory of the position observer, the filter of a device's position for a tool that cuts.
+"""Memory of the position observer, which filters the device position for a cutting tool.
 
 The value is chosen. A larger memory smooths encoder steps more, but lowers the critical stiffness
-of the loop (tests/tissue/haptics/test_velocity.py). In the tick of an encoder step of 55 um, the
-observed position changes by 11 um (1 - 0.93^3 of the step). In each later tick, it changes by less.
+of the loop (tests/tissue/haptics/test_velocity.py). An encoder step of 55 um changes the observed
+position by 11 um in the same tick (1 - 0.93^3 of the step), and by less in each later tick.
 """
 
 
@@ -29,8 +29,8 @@ def low_pass_gain(time_constant_s: float, step_s: float) -> float:
     """Return the gain 1 - exp(-T / a) per step T of the low-pass 1 / (1 + a s).
 
     In each step, the output moves by the gain times the difference between input and output. The
-    gain is 1 without a filter (a = 0). The time constant a is in seconds. The amplitude falls to 1
-    / sqrt(2) at the frequency 1 / (2 pi a).
+    time constant a is in seconds. For a = 0, there is no filter and the gain is 1. The amplitude
+    falls to 1 / sqrt(2) at the frequency 1 / (2 pi a).
     """
     require_range(
         "time_constant_s", time_constant_s, 0.0, 10.0, "use 0 for no filter, or 1e-3 for 159 Hz"
@@ -40,10 +40,10 @@ def low_pass_gain(time_constant_s: float, step_s: float) -> float:
 
 
 class LowPass:
-    """First-order low-pass y += (1 - exp(-T / a)) (u - y) of a vector u.
+    """First-order low-pass of a vector u: y += (1 - exp(-T / a)) (u - y).
 
-    T is the step, and a the time constant. The step is exact for an input that is constant during
-    the step.
+    T is the time step, and a the time constant. The output y is exact for an input that is constant
+    during each step.
     """
 
     def __init__(self, time_constant_s: float, *, step_s: float) -> None:
@@ -51,19 +51,19 @@ class LowPass:
         self.value: Array = np.zeros(3)
 
     def step(self, target: Array) -> Array:
-        """Advance one step towards the target, and return a copy of the value, shape (3,)."""
+        """Advance the output one step towards the target, and return a copy of it, shape (3,)."""
         self.value += self.gain * (target - self.value)
         return self.value.copy()
 
 
 def constant_acceleration_map(memory: float) -> tuple[Array, Array]:
-    """Return matrix M and gains g of the filter s' = M s + g x, shapes (3, 3) and (3,).
+    """Return matrix M, shape (3, 3), and gains g, shape (3,), of the filter s' = M s + g x.
 
-    The new position x changes the state from s to s'. The three entries of a state are the
-    position, its change per tick, and the change of this change per tick. The filter of Morrison
-    (1969) fits a parabola to all previous samples. The weight of a sample is `memory` to the power
-    of its age. This alpha-beta-gamma filter has three poles equal to the memory. It has no delay
-    for a constant acceleration.
+    A new position x changes the state from s to s'. The three entries of a state are the position,
+    the velocity per tick, and the acceleration per tick squared. The filter of Morrison (1969) fits
+    a parabola to all previous samples. The weight of a sample is `memory` to the power of its age.
+    The result is an alpha-beta-gamma filter with three poles equal to the memory. For a constant
+    acceleration, the estimate has no delay.
     """
     fresh = 1.0 - memory
     # Gains of the fading-memory polynomial filter of second order (Morrison, 1969).
@@ -73,12 +73,12 @@ def constant_acceleration_map(memory: float) -> tuple[Array, Array]:
 
 
 class ConstantAcceleration:
-    """Estimator of a vector's velocity, with the filter `constant_acceleration_map`.
+    """Estimator of the velocity of a vector, with the filter of `constant_acceleration_map`.
 
     Parameters
     ----------
     memory
-        Weight of a sample relative to the next one.
+        Weight of a sample relative to the weight of the next sample.
     step_s
         Time between two samples [s].
     """
@@ -120,9 +120,9 @@ class ConstantAcceleration:
 
 
 class DelayLine:
-    """Exact delay of a vector by a whole number of samples.
+    """Delay of a vector by a whole number of samples.
 
-    The output is zero until the first value has passed.
+    The output is zero until the first value has passed the delay.
     """
 
     def __init__(self, samples: int) -> None:
@@ -135,7 +135,7 @@ class DelayLine:
 
 
 class SlewLimit:
-    """Vector that moves straight towards a target, with a limited change per step.
+    """Vector that moves along a straight line towards a target, with a limited change per step.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ class SlewLimit:
 
 
 KNEE = 0.7
-"""Ratio of the force at which the compression begins to the largest force.
+"""Force at which the compression begins, divided by the largest force of the device.
 
 The value is chosen. Compressed forces are in the upper 30 % of the range.
 """
@@ -181,18 +181,19 @@ The value is chosen. Compressed forces are in the upper 30 % of the range.
 class ForceRange:
     """Compression of a force into the range of a device.
 
-    The direction is kept. The magnitude F is unchanged up to a knee. Above the knee it is
-    compressed. A larger force remains larger, and the limit is approached but not exceeded::
+    The direction is kept. The magnitude F is unchanged up to a knee. Above the knee, the magnitude
+    is compressed. The result increases with the force, and approaches the limit without exceeding
+    it::
 
         F                                                              F <= knee
         knee + (limit - knee) (1 - exp(-(F - knee) / (limit - knee)))  otherwise
 
-    The law has a continuous first derivative and can be inverted for every output.
+    The law has a continuous first derivative and is invertible.
 
     Attributes
     ----------
     limit_N
-        Largest force of the device [N], or torque [N m].
+        Largest force [N] or torque [N m] of the device.
     """
 
     limit_N: float
@@ -206,7 +207,7 @@ class ForceRange:
         return KNEE * self.limit_N
 
     def play(self, force: Array) -> tuple[Array, bool]:
-        """Return the force that the device plays, and True if it was compressed.
+        """Return the force after compression, and True if the force was above the knee.
 
         Raises
         ------

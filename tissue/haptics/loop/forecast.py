@@ -1,4 +1,4 @@
-"""Linear map of a predictor near a contact at rest, used in the stability analysis of the loop."""
+"""Linear model of a force predictor near a contact at rest, for the stability analysis."""
 
 import pickle
 from collections.abc import Sequence
@@ -21,27 +21,26 @@ if TYPE_CHECKING:
 PROBES = (1e-5, 1e-3, 1e-3)
 """Changes of position [m], velocity [m/s] and force [N] used to probe a predictor.
 
-The position is 1 % of the depth of the contact, so that the response is linear.
+The change of position is 1 % of the depth of the contact, so that the response is linear.
 """
 LONGEST = 512
-"""Largest number of ticks for which the response to a change is recorded.
+"""Largest number of ticks for which a predictor's response to a change is recorded.
 
 The value is five times the longest memory of the built-in predictors, which is 102 ticks.
 """
 FADED = 1e-3
-"""Size of a response, relative to the largest response, below which it has decayed.
+"""Share of the largest response below which a response is treated as decayed.
 
-The map of the loop has one state per tick of memory, so shorter responses make the analysis
-faster.
+Short responses make the analysis faster, because `loop_matrix` has one state per tick of memory.
 """
 RIGID = 1e6
-"""Stiffness of the tissue under the tool during a probe, relative to the coupling stiffness.
+"""Stiffness of the tissue during a probe, divided by the coupling stiffness.
 
-In the analysed loop the coupling is the virtual wall, so the tissue behind the coupling must
-be rigid.
+In the stability analysis, the coupling is the virtual wall. The tissue behind the coupling must
+therefore be nearly rigid.
 """
 SETTLING = 300
-"""Number of ticks of a contact at rest before a predictor is probed.
+"""Number of ticks for which a predictor sees a contact at rest before it is probed.
 
 The value is three times the longest memory of the built-in predictors.
 """
@@ -49,20 +48,22 @@ The value is three times the longest memory of the built-in predictors.
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Forecast:
-    """Linear response of a predicted force, the sum over ages a of taps . (x, v, F)(t - a).
+    """Linear model of a predicted force: sum of taps(a) . (x, v, F)(t - a) over ages a.
 
     Attributes
     ----------
     taps
-        Responses to position x [N/m], velocity v [N s/m] and force F [N/N], shape (phases, ages,
-        3). The phase is the tick of the observation, counted from the last model force. A force is
-        observed only in phase 0.
+        Responses, shape (phases, ages, 3), to position x [N/m], velocity v [N s/m] and force F
+        [N/N]. The phase is the number of ticks from the last response of the tissue model to the
+        observation. A force is observed only in phase 0.
     gain
-        Gain C of the played force F + C (F_ahead - F), with the predicted force F_ahead. A gain of
-        0 plays the present force, and 1 plays the predicted force.
+        Gain C in F + C (F_ahead - F), the force at the device, where F is the present and F_ahead
+        the predicted force. A gain of 0 gives the present force, and a gain of 1 the predicted
+        force.
     stiffness_N_m
-        Coupling stiffness of the contact that was shown to the predictor. The responses to position
-        and velocity are proportional to this stiffness. None for a predictor without contact.
+        Coupling stiffness of the contact with which the predictor was probed [N/m]. The responses
+        to position and velocity are proportional to this stiffness. None for a predictor without
+        contact.
     """
 
     taps: Array
@@ -70,7 +71,7 @@ class Forecast:
     stiffness_N_m: float | None = None
 
     def __eq__(self, other: object) -> bool:
-        """Compare by value, so that an equal forecast does not need another analysis."""
+        """Compare by value, so that cached results of the analysis are used for equal forecasts."""
         return isinstance(other, Forecast) and self._value == other._value
 
     def __hash__(self) -> int:
@@ -82,13 +83,13 @@ class Forecast:
 
     @property
     def memory(self) -> tuple[int, int]:
-        """Number of previous positions and forces that the forecast uses."""
+        """Numbers of previous positions and previous forces that the forecast uses."""
         ages = self.taps.shape[1]
         return ages if self.taps[:, :, :2].any() else 0, ages
 
 
 _forecasts: Kept["Forecast"] = Kept(256)
-"""Cache of forecasts; a study has about ten for each task, latency and device."""
+"""Cache of forecasts; a study needs about ten for each combination of task, latency and device."""
 OUT = np.array([0.0, 0.0, 1.0])
 """Direction out of the tissue during a probe."""
 
@@ -102,10 +103,10 @@ def forecast_of(
     depth_m: float = 1e-3,
     gain: float = 1.0,
 ) -> Forecast:
-    """Linearise a predictor about a contact at rest, with small changes of its inputs.
+    """Return the linear model of a predictor, from its response to small changes of its inputs.
 
-    Results are cached, with the contents of the predictor as key. The stability of a scene is
-    checked several times: for the choice of its stiffness, for its run and for its reference.
+    The inputs are changed during a contact at rest. Results are cached, because the stability of a
+    scene is checked several times. The key of the cache contains the data of the predictor.
 
     Parameters
     ----------
@@ -114,7 +115,7 @@ def forecast_of(
     lead_ticks
         Prediction horizon [ticks].
     stiffness_N_m, depth_m
-        Stiffness and depth of the contact. The force is their product.
+        Stiffness [N/m] and depth [m] of the contact. The contact force is the product of both.
     model_ticks
         Ticks between two observed forces.
     gain
@@ -137,7 +138,7 @@ def forecast_of(
 
 @dataclass(frozen=True)
 class _Probe:
-    """Contact at rest that is shown to a predictor; see `forecast_of`."""
+    """Contact at rest with which a predictor is probed; see `forecast_of`."""
 
     lead_ticks: float
     stiffness_N_m: float
@@ -145,7 +146,7 @@ class _Probe:
     depth_m: float
 
     def forecast(self, predictor: "Predictor", gain: float) -> Forecast:
-        """Compute the forecast, without the cache."""
+        """Compute the forecast without using the cache."""
         settled = deepcopy(predictor)
         count = self.model_ticks
         seen = (-self.depth_m * OUT, np.zeros(3), self.stiffness_N_m * self.depth_m * OUT)
@@ -175,7 +176,7 @@ class _Probe:
         )
 
     def _show(self, predictor: "Predictor", seen: Sequence[Array], tick: int) -> Array:
-        """Pass the observations of a tick to a predictor, and return its force along the normal."""
+        """Pass the observations of a tick to a predictor, and return its normal force."""
         if isinstance(predictor, SeesContact):
             force = self.stiffness_N_m * self.depth_m * OUT
             rigid = RIGID * self.stiffness_N_m * np.outer(OUT, OUT)
@@ -186,13 +187,13 @@ class _Probe:
     def _answers(
         self, predictor: "Predictor", seen: Sequence[Array], changed: Sequence[Array], at: int
     ) -> Array:
-        """Return the predicted forces along the normal [N] after changed inputs in one tick."""
+        """Return the predicted normal forces [N] if the inputs are changed in one tick."""
         ticks = range(LONGEST + 1 + self.model_ticks)
         return np.array([self._show(predictor, changed if n == at else seen, n) for n in ticks])
 
 
 def _faded(taps: Array) -> Array:
-    """Return the responses up to the age at which they have decayed."""
+    """Return the responses without the ages at which the responses have decayed."""
     # 1e-300 avoids a division by zero in a channel without any response.
     sizes = np.abs(taps) / np.maximum(np.abs(taps).max(axis=(0, 1)), 1e-300)
     ages = sizes.max(axis=(0, 2))

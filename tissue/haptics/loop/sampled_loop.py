@@ -1,4 +1,4 @@
-"""Loop of a device and a virtual wall, as a linear map from one model step to the next."""
+"""Loop of a haptic device and a virtual wall, as a linear map over one step of the model."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache, reduce
@@ -22,7 +22,7 @@ from tissue.models.tissue_model import TICK_S
 from tissue.system.blas_threads import one_blas_thread
 
 MOST_TICKS = 400
-"""Longest delay, and longest model step, in the analysis [ticks].
+"""Longest delay and longest model step in the stability analysis [ticks].
 
 The map has one state per tick of delay.
 """
@@ -42,20 +42,20 @@ class WallLoop:
     stiffness_N_m, wall_damping_N_s_m
         Stiffness [N/m] and damping [N s/m] of the wall, F = -K x - B v.
     velocity_memory
-        Memory of the filter for v, see `constant_acceleration_map`. With None, v is the difference
-        of positions over a model step, divided by its time. A forecast then uses the difference
-        over a tick.
+        Memory of the filter for v, see `constant_acceleration_map`. With None, v is the change of
+        position over a model step divided by the duration of the step. A forecast then uses the
+        change of position over a tick.
     observes
-        True if the position estimated by the filter for v replaces x. Requires `velocity_memory`.
+        True if x is the position that the filter for v estimates. Requires `velocity_memory`.
     tick_s
-        Time between two forces at the device [s]. For a device that is slower than the loop, it is
-        the time between two samples of the device.
+        Time between two forces at the device [s]. For a slow device, this is the time between two
+        samples.
     delay_s
-        Delay from the sample to the force, in addition to the zero-order hold [s]. It need not be a
-        whole number of ticks.
+        Delay [s] from the sample to the force, in addition to the zero-order hold. The delay need
+        not be a whole number of ticks.
     model_ticks
-        Ticks for which one force of the model is held: 1, or 10 for a model at 100 Hz in a loop at
-        1 kHz.
+        Number of ticks for which one force of the tissue model is held, such as 10 for a model at
+        100 Hz in a loop at 1 kHz.
     filter_s
         Time constant of the low-pass after the model [s]; 0 for no filter.
     amplifier_Hz
@@ -65,13 +65,13 @@ class WallLoop:
         zeros for a hand that has let go.
     reflex_N_m, reflex_s
         Stiffness of the hand's reflex [N/m], and its delay [s], rounded to whole ticks. The reflex
-        force is opposite to the position one delay earlier, and proportional to it.
+        force is minus the stiffness times the position one delay earlier.
     forecast
         Linear predictor of the force before the low-pass; None for no predictor. It must have
         ``model_ticks`` phases.
     vibration
         Vibration of a cutter's teeth; None for no vibration. The vibration is added after the
-        low-pass, in proportion to the averaged force.
+        low-pass. Its amplitude is proportional to the averaged force.
     """
 
     mass_kg: float
@@ -124,7 +124,7 @@ class WallLoop:
 
     @property
     def vibration_factors(self) -> Array:
-        """Vibration per averaged force in the ticks of n model steps, shape (model_ticks, n)."""
+        """Vibration divided by the averaged force, shape (model_ticks, n), in n model steps."""
         return (
             np.zeros((self.model_ticks, 1))
             if self.vibration is None
@@ -140,11 +140,12 @@ class WallLoop:
 def plant_step(
     mass_kg: float, damping_N_s_m: float, stiffness_N_m: float, amplifier_Hz: float, step_s: float
 ) -> tuple[tuple[float, ...], ...]:
-    """Return the exact step of a mass, spring and damper behind an amplifier.
+    """Return the matrix of an exact time step of a mass, spring and damper with an amplifier.
 
-    The inputs are constant during the step. Rows are position, velocity and motor force after the
-    step. Columns are position, velocity, motor force, commanded force and external force before the
-    step. The shape is (3, 5), as tuples. Without lag, the motor force is the command.
+    The inputs are constant during the step. The matrix, shape (3, 5), is returned as tuples. Its
+    rows belong to position, velocity and motor force after the step. Its columns belong to
+    position, velocity, motor force, commanded force and external force before the step. For an
+    amplifier without lag, the motor force is the commanded force.
     """
     generator = np.zeros((5, 5))
     generator[0, 1] = 1.0
@@ -173,15 +174,16 @@ def parts_of_tick(delay_s: float, tick_s: float) -> list[tuple[float, int]]:
 
 
 def loop_matrix(loop: WallLoop) -> Array:
-    """Return the map of the loop's state over one model step, or over a period of its vibration.
+    """Return the square matrix that maps the loop's state to its state one model step later.
 
-    The map is a square matrix. The state contains position, velocity and motor force, the position
-    at the last model step, the filtered force, the pending forces and the velocity filter. With a
-    forecast, it also contains the observed positions, velocities and forces. With a vibration, it
-    contains the envelope of the force, and with a reflex the positions during the reflex delay. The
-    columns of the map are the responses of the loop to unit states, computed tick by tick. The map
-    over a period of the vibration is the product of the maps of the model steps in this period. The
-    eigenvalues of the map determine the stability (Floquet).
+    For a loop with a vibration, the matrix maps over one period of the vibration. The state
+    contains position, velocity and motor force, the position at the last model step, the filtered
+    force, the pending forces and the velocity filter. With a forecast, it also contains the
+    observed positions, velocities and forces. With a vibration, the state contains the envelope of
+    the force, and with a reflex the positions during the reflex delay. The columns of the matrix
+    are the responses of the loop to unit states, computed tick by tick. The matrix over a period is
+    the product of the matrices of its model steps. The eigenvalues determine the stability
+    (Floquet).
     """
     parts = parts_of_tick(loop.delay_s, loop.tick_s)
     spring = loop.hand_stiffness_N_m
@@ -242,7 +244,7 @@ def loop_matrix(loop: WallLoop) -> Array:
 
 
 class SampledVelocity:
-    """Velocity filter of a loop for several positions at once.
+    """Velocity filter of a loop, applied to several positions at once.
 
     Parameters
     ----------
@@ -262,7 +264,10 @@ class SampledVelocity:
         )
 
     def step(self, position: Array) -> Array | None:
-        """Return the velocities after a tick's positions, shape (n,); None without a filter."""
+        """Update with the positions in a tick, and return the velocities, shape (n,).
+
+        The result is None for a loop without a filter.
+        """
         if self._filter is None:
             return None
         onward, gains = self._filter
@@ -271,15 +276,15 @@ class SampledVelocity:
 
 
 class ForecastMemory:
-    """Previous observations that a loop's forecast needs, newest first, one entry per tick.
+    """Previous observations for the forecast of a loop, one entry per tick, newest first.
 
     Parameters
     ----------
     loop
         Loop with or without a forecast.
     positions, speeds, forces
-        Previous observations, up to the memory of the forecast [m], [m/s], [N]. Speeds are stored
-        only for a loop with a velocity filter.
+        Previous positions [m], speeds [m/s] and forces [N], up to the memory of the forecast.
+        Speeds are stored only for a loop with a velocity filter.
     """
 
     def __init__(
@@ -291,7 +296,7 @@ class ForecastMemory:
         self.forces = forces
 
     def predict(self, position: Array, speed: Array | None, model: Array, tick: int) -> Array:
-        """Return the force to play at a tick of the model step.
+        """Return the force at the device in a tick of the model step.
 
         The force is computed from the position, the filtered speed and the model force.
         """
@@ -325,10 +330,10 @@ class ForecastMemory:
 def largest_eigenvalue(loop: WallLoop) -> float:
     """Return the growth factor per model step of the mode that decays most slowly.
 
-    The factor is the magnitude of the largest eigenvalue of `loop_matrix`. If this matrix is the
-    map over n model steps, the n-th root is returned. The computation uses one thread. For so few
-    states, two threads are not faster. On a busy computer they wait for each other and take ten
-    times as long or more.
+    The factor is the magnitude of the largest eigenvalue of `loop_matrix`. If this matrix maps over
+    n model steps, the n-th root of the magnitude is returned. The computation uses only one thread.
+    For so few states, two threads are not faster. On a busy computer, two threads even take ten
+    times as long, because they wait for each other.
     """
     with one_blas_thread():
         largest = float(np.abs(np.linalg.eigvals(loop_matrix(loop))).max())
@@ -344,11 +349,11 @@ def spectral_radius(loop: WallLoop) -> float:
 
 
 def motor_lag_ticks(loop: WallLoop) -> float:
-    """Return the delay of a linearly increasing force from its sample to the motor [ticks].
+    """Return the delay [ticks] of a linearly increasing force on its path to the motor.
 
-    The delay is a sum of four parts: p / (1 - p) ticks of the low-pass y += (1 - p) (u - y), the
-    delay of the loop, half a tick of the zero-order hold, and 1 / (2 pi f) seconds of the amplifier
-    with bandwidth f.
+    The delay is a sum of four parts. The low-pass y += (1 - p) (u - y) adds p / (1 - p) ticks, and
+    the zero-order hold half a tick. The amplifier with bandwidth f adds 1 / (2 pi f) seconds. The
+    last part is the delay of the loop.
     """
     gain = low_pass_gain(loop.filter_s, loop.tick_s)
     return (1.0 - gain) / gain + loop.delay_s / loop.tick_s + 0.5 + _amplifier_ticks(loop)
@@ -357,9 +362,9 @@ def motor_lag_ticks(loop: WallLoop) -> float:
 def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
     """Return the mean force of the motor over every tick [N], shape (n, 3).
 
-    The mean force is the impulse of the motor in a tick divided by the length of the tick. The
-    result is exact even if the delay is not a whole number of ticks. Each force is filtered, held
-    for a tick after its delay, and passed through the amplifier.
+    The mean force is the impulse of the motor in a tick, divided by the duration of the tick. The
+    delay need not be a whole number of ticks. Each force is filtered, held for a tick after its
+    delay, and passed through the amplifier.
 
     Parameters
     ----------
@@ -394,19 +399,19 @@ def motor_force_N(loop: WallLoop, force_N: Array) -> Array:
 
 
 def mean_over_ticks_N(force_N: Array) -> Array:
-    """Return the mean force between successive ticks [N], shape (n - 1, 3), for n forces.
+    """Return the mean force between successive ticks, shape (n - 1, 3), in newtons.
 
-    ``force_N`` is the force at n ticks, shape (n, 3). Between the ticks, it is interpolated
+    ``force_N`` is the force at n ticks, shape (n, 3). Between the ticks, the force is interpolated
     linearly.
     """
     return 0.5 * (force_N[:-1] + force_N[1:])
 
 
 def force_later_N(force_N: Array, ticks: float) -> Array:
-    """Return, for each of n ticks, the force at a later time [N], shape (n, 3).
+    """For each of n ticks, return the force [N], shape (n, 3), that acts some ticks later.
 
-    The later time is ``ticks`` after the tick; forces between ticks are interpolated linearly.
-    After the end of ``force_N``, the last force is used.
+    The number of ticks is the argument `ticks`. Forces between ticks are interpolated linearly.
+    After the end of `force_N`, the last force is used.
     """
     at = np.arange(len(force_N))
     return np.column_stack([np.interp(at + ticks, at, axis) for axis in force_N.T])
@@ -418,7 +423,7 @@ def _amplifier_ticks(loop: WallLoop) -> float:
 
 
 def _held_back(force_N: Array, ticks: int) -> Array:
-    """Return the force delayed by ``ticks``, initially zero [N]."""
+    """Return the force [N] with a delay of ``ticks``; forces before the start are zero."""
     return np.concatenate(
         [np.zeros((min(ticks, len(force_N)), 3)), force_N[: max(len(force_N) - ticks, 0)]]
     )

@@ -1,4 +1,4 @@
-"""Stability limit of a virtual wall by simulation, eigenvalues and theoretical bounds."""
+"""Stability limit of a virtual wall, from simulation, from eigenvalues and from theory."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,17 +27,17 @@ from tissue.haptics.loop.vibration import ENVELOPE_S
 
 SOFTEST_N_M = 0.1
 STIFFEST_N_M = 1e6
-"""Range of the bisection: `SOFTEST_N_M` to `STIFFEST_N_M` [N/m].
+"""Largest stiffness in the bisection [N/m]; `SOFTEST_N_M` is the smallest stiffness.
 
 The stability limits of built-in devices are between 400 and 5000 N/m.
 """
 BISECTIONS = 15
-"""Number of bisections of seven decades, for a resolution of 0.05 %."""
+"""Number of bisections of the seven decades of stiffness, for a resolution of 0.05 %."""
 
 
 @dataclass(frozen=True)
 class StabilityChart:
-    """Chart of the critical stiffness as a function of one other quantity.
+    """Critical stiffness of a loop as a function of one parameter of the loop.
 
     Attributes
     ----------
@@ -50,9 +50,10 @@ class StabilityChart:
     lines_N_m
         Theoretical bounds, keyed by the name of the bound, each of shape (n,).
     stiffnesses_N_m
-        Stiffness of each row of the grid, shape (k,).
+        Wall stiffnesses for which `growth` is computed, shape (k,).
     growth
-        Spectral radius on the grid, shape (k, n); stable below 1.
+        Spectral radius, shape (k, n), for each stiffness and each value; the loop is stable below
+        1.
     """
 
     along: str
@@ -66,7 +67,7 @@ class StabilityChart:
 
 @dataclass(frozen=True)
 class StabilityMap:
-    """Stability charts over damping and over delay, and a chosen loop with its stability."""
+    """Stability charts as functions of damping and delay, and stability of a chosen loop."""
 
     chosen: WallLoop
     verdict: Verdict
@@ -77,15 +78,15 @@ class StabilityMap:
 def growth_while_running(
     loops: Sequence[WallLoop], stiffnesses_N_m: Array, *, ticks: int = 4000
 ) -> Array:
-    """Return the growth of the amplitude between two windows of a simulated run, shape (n,).
+    """Return the growth of the oscillation of n simulated loops, shape (n,).
 
-    Several loops run at once after a push. All loops must have the same ``tick_s``,
+    The n loops are simulated at once, after a push. All loops must have the same ``tick_s``,
     ``model_ticks``, velocity filter, ``forecast`` and ``vibration``. A loop runs as on a device:
-    sample, velocity, force, filter, delay, zero-order hold. The amplitude is the square root of
-    kinetic plus stored energy, averaged in two windows around 45 and 85 % of the run. The growth is
-    infinite after an overflow. With 4000 ticks, the critical stiffness found with this function
-    differs by at most 0.02 % from the critical stiffness computed from eigenvalues (validation case
-    21).
+    sample, velocity, force, filter, delay, zero-order hold. The growth is the square root of an
+    energy ratio: the mean energy around 85 % of the run, divided by the mean energy around 45 %.
+    The energy is the sum of kinetic and stored energy. The growth is infinite after an overflow.
+    With 4000 ticks, the critical stiffness found with this function differs by at most 0.02 % from
+    the critical stiffness computed from eigenvalues (validation case 21).
     """
     first = loops[0]
     tick = first.tick_s
@@ -160,10 +161,10 @@ def growth_while_running(
 
 
 def measured_critical_N_m(loops: Sequence[WallLoop], *, ticks: int = 4000) -> Array:
-    """Return the stiffness above which the amplitude of a run grows [N/m], shape (n,).
+    """Return the stiffness [N/m], shape (n,), above which the oscillation of each loop grows.
 
     The stiffness is computed by bisection for all loops at once. The result is zero if the
-    amplitude grows even with the softest wall (0.1 N/m).
+    oscillation grows even with the softest wall (0.1 N/m).
     """
     low = np.full(len(loops), SOFTEST_N_M)
     high = np.full(len(loops), STIFFEST_N_M)
@@ -179,10 +180,10 @@ def measured_critical_N_m(loops: Sequence[WallLoop], *, ticks: int = 4000) -> Ar
 def stability_map(chosen: WallLoop, *, rows: int = 60, columns: int = 25) -> StabilityMap:
     """Compute stability charts as functions of wall damping and delay, around a chosen loop.
 
-    The damping ranges from zero to the value that stops the mass within the delay plus one step.
-    This value is far above the damping that allows the stiffest wall. The delay ranges from zero to
-    eight ticks. The stiffness ranges from a twentieth of the lowest critical stiffness to three
-    times the highest one.
+    The damping ranges from zero to the value at which a damper stops the mass within the delay plus
+    one step. This value is far above the damping with the largest critical stiffness. The delay
+    ranges from zero to eight ticks. The stiffness ranges from a twentieth of the lowest critical
+    stiffness to three times the highest one.
     """
     step_s = chosen.tick_s * chosen.model_ticks + chosen.delay_s
     most = (chosen.mass_kg + chosen.hand_mass_kg) / step_s

@@ -1,4 +1,4 @@
-"""Vibration of a cutter's teeth within the bandwidth of a haptic loop, and event cues."""
+"""Vibration of a cutter's teeth, cues at events, and last stages of a force to the device."""
 
 from fractions import Fraction
 from math import cos, inf, lcm, pi, sin, sqrt
@@ -15,44 +15,44 @@ if TYPE_CHECKING:
     from tissue.perception.perceived import Perception
 
 BAND_LIMIT_HZ = 250.0
-"""Highest rendered frequency [Hz]: a quarter of the tick rate.
+"""Highest frequency of the vibration [Hz]: a quarter of the tick rate.
 
 Vibration is felt best near this frequency (Pacinian receptors).
 """
 ENVELOPE_S = 0.05
-"""Averaging time of the force envelope that scales the vibration [s].
+"""Averaging time of the force to which the amplitude of the vibration is proportional [s].
 
-A loop may oscillate at 10 Hz and above. Through the envelope, at most a third of the amplitude of
-the oscillation returns to the loop. This part appears at frequencies near 250 Hz, at which hand and
-device hardly move.
+A haptic loop may oscillate at 10 Hz and above. The averaging reduces the amplitude of such an
+oscillation to a third or less. The reduced oscillation returns to the loop at frequencies near 250
+Hz, at which hand and device hardly move.
 """
 MOST_PERIOD_TICKS = 200
-"""Longest period used in the stability analysis of a loop [ticks].
+"""Longest period of a vibration in the stability analysis of a loop [ticks].
 
-At 1 kHz it allows frequencies f from 5 Hz, with an error of at most 0.5 % of f.
+At 1 kHz, this limit allows frequencies from 5 Hz. A frequency is then rounded by at most 0.5 %.
 """
 SLEW_SHARE = 0.5
 """Share of the device's slew rate that the vibration may use.
 
-The other half is for the force itself, because a loop at its slew limit oscillates.
+The other half is left for the force without vibration, because a loop at its slew limit oscillates.
 """
 
 
 class Vibration:
-    """Zero-mean modulation of the cutting force.
+    """Zero-mean vibration of a cutter's teeth, proportional to the average force.
 
     A cutter with N edges that turns omega / 2 pi times per second causes a force ripple at f = N
-    omega / 2 pi. If a ripple above R / 2 is sampled at the tick rate R, aliasing turns it into a
-    false slow force. The frequency of the false force is the difference between f and the nearest
-    multiple of R. Here the model force is the average over a revolution, without ripple. The
-    vibration is added at the frequency f, or at the band limit if f is higher.
+    omega / 2 pi. If a ripple with f above R / 2 were sampled at the tick rate R, aliasing would
+    cause a false slow force. Its frequency would be the difference between f and the nearest
+    multiple of R. The model force is therefore the average over a revolution, without ripple. The
+    vibration is added at the frequency f, or at `BAND_LIMIT_HZ` if f is higher.
 
     Parameters
     ----------
     tooth_passing_Hz
         Tooth passing frequency [Hz].
     share
-        Amplitude relative to the average force.
+        Amplitude of the vibration divided by the average force.
     step_s
         Length of a tick [s].
     """
@@ -67,9 +67,10 @@ class Vibration:
         return self.share * cos(2.0 * pi * self._turns * tick)
 
     def period(self, model_ticks: int = 1) -> Array:
-        """Return the vibration per average force in the common period of vibration and model.
+        """Return the vibration, divided by the average force, in a common period with the model.
 
-        The period has n model steps, and the result has shape (model_ticks, n).
+        The common period has n steps of the tissue model, and the result has shape (model_ticks,
+        n).
 
         If the period of the vibration is longer than `MOST_PERIOD_TICKS` ticks, the nearest
         vibration with a shorter period is used.
@@ -83,17 +84,17 @@ class Vibration:
 
 
 class PlayedVibration:
-    """Vibration as played by a device, added to its force.
+    """Vibration that is added to the force of a device, within the limits of the device.
 
     The vibration is F_v = share E cos(2 pi f t). E is the force F averaged with a time constant tau
-    of 0.05 s, E' = (F - E) / tau. Within a period, the vibration therefore hardly depends on the
-    state of the loop. A change of the force at the frequency g returns through the vibration at the
-    frequencies f - g and f + g. The amplitude of this change is then multiplied by at most share /
-    sqrt(1 + (2 pi g tau)^2). The amplitude of the vibration is limited so that the sum of force and
-    vibration stays within the largest force of the device. The vibration uses at most half of the
-    slew rate, because a loop at its slew limit oscillates. The stability analysis
-    (`tissue.haptics.loop.sampled_loop`) includes the vibration without these two limits, which only
-    reduce the vibration.
+    of 0.05 s, E' = (F - E) / tau. Within a period of the vibration, E is nearly constant. The
+    vibration therefore hardly depends on the state of the loop. A change of the force at the
+    frequency g returns through the vibration at the frequencies f - g and f + g. On this path, the
+    amplitude of the change is multiplied by at most share / sqrt(1 + (2 pi g tau)^2). Two limits
+    reduce the amplitude of the vibration. The sum of force and vibration stays within the largest
+    force of the device. The vibration uses at most half of the slew rate, because a loop at its
+    slew limit oscillates. The stability analysis (`tissue.haptics.loop.sampled_loop`) includes the
+    vibration without these limits.
 
     Parameters
     ----------
@@ -112,7 +113,7 @@ class PlayedVibration:
         self._tick = 0
 
     def step(self, force_N: Array) -> Array:
-        """Return the vibration in a tick in which ``force_N`` is played [N], shape (3,)."""
+        """Return the vibration [N], shape (3,), for a tick with the device force ``force_N``."""
         self._tick += 1
         level = self._envelope.step(force_N)
         amplitude = self._vibration.share * sqrt(level.dot(level))
@@ -121,7 +122,7 @@ class PlayedVibration:
         return level * (factor if amplitude <= most else factor * most / amplitude)
 
     def pause(self) -> None:
-        """Reset the envelope after a tick without a sample and without a played force."""
+        """Reset the averaged force after a tick without a valid sample."""
         self._tick += 1
         self._envelope.value = np.zeros(3)
 
@@ -130,12 +131,14 @@ CUE_HZ = 125.0
 """Frequency of the transient of a cue [Hz].
 
 The frequency lies within the band of vibration receptors, 50 to 500 Hz (Johansson and Flanagan,
-2009). The frequency is an eighth of the tick rate, so that the transient is played smoothly.
+2009). The frequency is an eighth of the tick rate, so that the sampled transient is smooth.
 """
 PERIODS = 5
-"""Number of periods of a transient under a Hann window."""
+"""Number of oscillations of a transient, which has a Hann window as envelope."""
 APART_S = 0.1
-"""Time without contact before a first contact, and shortest time between transients [s].
+"""Time without contact after which a contact counts as a first contact [s].
+
+The value is also the shortest time between two transients.
 
 A transient takes 40 ms, so two transients never overlap. A tool that bounces causes only one
 transient.
@@ -143,15 +146,15 @@ transient.
 SETTLED_S = 0.01
 """Time for which a new layer must have the largest contact area [s].
 
-At a border between two layers, their contact areas are nearly equal, and either layer may have the
-larger area in a tick.
+At a border between two layers, the contact areas of both layers are nearly equal. Without this
+time, the layer with the larger area could change in every tick.
 """
 
 
 class TouchEvents:
-    """Detector of first contact and of changes of layer, from the contact area of each layer.
+    """Detector of first contacts and of changes of layer, from the contact area of each layer.
 
-    A puncture is a change of layer, from a membrane to the tissue behind it.
+    A puncture also counts as a change of layer, from a membrane to the tissue behind it.
     """
 
     def __init__(self) -> None:
@@ -182,10 +185,10 @@ class TouchEvents:
 
 
 class Cues:
-    """Zero-mean transient for each touch event, added along the direction of the device force.
+    """Force transients that signal touch events, along the direction of the device force.
 
-    After its start, a transient does not depend on the force. It therefore does not affect the
-    stability of the loop.
+    The mean of a transient is zero. After its start, a transient does not depend on the force, so
+    it does not affect the stability of the loop.
 
     Parameters
     ----------
@@ -211,7 +214,7 @@ class Cues:
         self._along = np.zeros(3)
 
     def step(self, force_N: Array, response: Response) -> Array:
-        """Return the force to add in a tick in which ``force_N`` is played [N], shape (3,)."""
+        """Return the transient [N], shape (3,), to add to the device force ``force_N``."""
         if self._events.step(response.engaged_m2):
             self._left = len(self._burst)
             self._along = np.zeros(3)
@@ -235,18 +238,20 @@ class Cues:
 
 
 class PlayedForce:
-    """Last stages of the force before the device. Every stage except the range is optional.
+    """Last stages through which a force passes before it is sent to the device.
+
+    Every stage except the compression to the range of the device is optional.
 
     Parameters
     ----------
     force_limit_N
         Largest force of the device [N].
     perception
-        Perception model that scales the force. Without it, the force is not scaled.
+        Perception model that scales the force. With None, the force is not scaled.
     vibration
-        Vibration of the cutter's teeth, added to the played force.
+        Vibration of the cutter's teeth, which is added to the force.
     cues
-        Transients at first contacts, changes of layer and punctures, added to the played force.
+        Transients at first contacts, changes of layer and punctures, which are added to the force.
 
     Attributes
     ----------
@@ -273,7 +278,7 @@ class PlayedForce:
         self.measures = np.zeros(len(self.names))
 
     def step(self, force_N: Array, response: Response) -> tuple[Array, bool]:
-        """Return the force to play [N], shape (3,), and True if the device's range compressed it.
+        """Return the device force [N], shape (3,), and True if the range compressed it.
 
         Raises
         ------

@@ -1,1 +1,1 @@
-"""Proxy (god-object) of a tool in contact, and virtual coupling of tool and device."""
+"""Virtual coupling of a tool to a haptic device, and proxy (god-object) of a tool in contact."""

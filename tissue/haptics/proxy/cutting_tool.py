@@ -13,25 +13,25 @@ from tissue.motion.motion import matrix_of
 from tissue.motion.quaternion import Quaternion, exponential, product, turn_between
 
 NATURAL_Hz = 40.0
-"""Natural frequency of the tool on its spring [Hz]; it determines the mass of the tool.
+"""Natural frequency of the tool on the coupling spring [Hz]; determines the tool's mass.
 
-The value is chosen. It is below the rate of encoder steps, which is 91 Hz for steps of 55 um at 5
-mm/s. For a spring of 28 kN/m, as in reaming, the mass is 0.44 kg. Handpieces have a mass of 0.05 to
-0.5 kg.
+The value is chosen below the rate at which encoder steps excite the tool. At 5 mm/s, steps of 55 um
+have a rate of 91 Hz. For a spring of 28 kN/m, as in reaming, the mass is 0.44 kg. Handpieces have a
+mass of 0.05 to 0.5 kg.
 """
 DAMPING_RATIO = 1.0
-"""Damping ratio of the tool in free space: damper divided by critical damping.
+"""Damping of the tool in free space, divided by the critical damping.
 
 The value is chosen: at critical damping, encoder steps do not make the tool oscillate.
 """
 GYRATION_M = 0.05
-"""Assumed radius of gyration of the tool about its tip [m]; a rod of 0.09 m has this value."""
+"""Assumed radius of gyration of the tool about its tip [m], as for a rod of 0.09 m length."""
 LEVER = np.array([1.0, 1.0, 1.0, GYRATION_M, GYRATION_M, GYRATION_M])
-"""Lengths that convert a wrench to six forces [N] and a velocity to six speeds [m/s].
+"""Factors that convert a wrench to six forces [N] and a velocity to six speeds [m/s].
 
-The wrench is divided by these lengths, and the velocity is multiplied by them. Forces and speeds of
-the rotation refer to points at the radius of gyration. With these units, the inertia of all six
-unknowns is the mass of the tool.
+A wrench contains force [N] and torque [N m] and is divided by the factors. A velocity contains
+velocity [m/s] and angular velocity [rad/s] and is multiplied by the factors. The last three factors
+are the radius of gyration [m], so that the inertia of all six components is the mass of the tool.
 """
 LEVERS = np.outer(LEVER, LEVER)
 """Divisors for the derivatives of a wrench with respect to a velocity, see `LEVER`."""
@@ -41,9 +41,11 @@ TOLERANCE = 1e-6
 The value is the relative rounding error of forces in single precision.
 """
 LEAST_N = 1e-4
-"""Residual that is always accepted [N]; a tool at rest on its spring needs no Newton step.
+"""Residual of the force balance that is always accepted [N].
 
-The value is chosen. It is far below any force that a device can play.
+Because of this value, a tool at rest needs no Newton step.
+
+The value is chosen far below any force that a device can render.
 """
 MOST_STEPS = 24
 """Largest number of evaluations of the force in a tick.
@@ -52,37 +54,38 @@ The value is chosen to limit the time of a tick. When the limit is reached, the 
 accepted velocity.
 """
 SLOW = 1e-6
-"""Velocity at which Newton's method restarts, relative to the velocity of a free tool.
+"""Velocity at which Newton's method restarts, divided by the velocity of a free tool.
 
-The value is chosen. At this velocity, no edge force has reached its full value. The velocity is
-above zero, so that the direction of motion is defined.
+The value is chosen. At this velocity, no edge force of the cutter has reached its full value. The
+velocity is not zero, so that the direction of motion is defined.
 """
 SHORTEST = 1e-4
-"""Share of a Newton step below which a point is accepted without a test.
+"""Share of a Newton step below which the line search accepts a point without a test.
 
-The value is chosen. A share below it means that the search has reached a kink of the force. At a
-kink, no share of the step makes the correction smaller.
+The value is chosen. Such a small share means that the force has a kink near the point. At a kink,
+the test of the line search fails for every share of the step.
 """
 
 
 @runtime_checkable
 class CutTissue(Protocol):
-    """Tissue that computes the force on a tool for any velocity."""
+    """Interface of a tissue that computes the force on a tool for any velocity of the tool."""
 
     def find_bone(self, tip_m: Array, rotation: Array, velocity: Array, step_s: float) -> None:
-        """Find the bone around the whole tool at a pose that the tool would reach in a step.
+        """Find the bone around the tool at the pose that the tool would reach in a step.
 
         ``velocity`` contains velocity and angular velocity along the axes of the tool, shape (6,).
         """
 
     def forces(self, velocity: Array, *, unknowns: int) -> tuple[Array, Array]:
-        """Return force and torque on the tool, linearised at a velocity in the step.
+        """Return the force and torque on the tool, linearised at a velocity.
 
         The first array is the linearised wrench at zero velocity, shape (6,). The second array has
         its derivatives with respect to the first 3 or all 6 components of the velocity, shape (6,
-        unknowns). With 3 unknowns, the torque is given at the velocity itself.
+        unknowns). With 3 unknowns, the torque in the first array is the torque at the velocity
+        itself.
 
-        The components of all vectors are along the axes of the tool at the pose of `find_bone`.
+        All vectors have components along the axes of the tool at the pose of `find_bone`.
         """
 
 
@@ -93,15 +96,15 @@ class CuttingTool(HeldTool):
 
         m (v - v_before) / T = k (x_device - x - T v) + b (v_device - v) + F(v)
 
-    m is the mass of the tool, and k and b are stiffness and damping of the coupling. F is the force
-    of the tissue in this step, a Lipschitz function of the velocity. The bone at the cutting
-    elements is found once, at the pose that the tool would reach with its present velocity.
-    Newton's method solves the balance. The force is differentiable except at kinks, where it has
-    different slopes on the two sides (semi-smooth).
+    Here x and v are position and velocity of the tip, m is the mass of the tool, and k and b are
+    stiffness and damping of the coupling. F is the force of the tissue, a Lipschitz function of the
+    velocity. The bone at the cutting elements is found only once per step, at the pose that the
+    tool would reach with its present velocity. Newton's method solves this force balance. The force
+    is differentiable except at kinks, where it has different slopes on the two sides (semi-smooth).
 
-    For a device that plays torque, the angular velocity is computed likewise. The balance of
-    torques contains the moment of inertia about the tip, the rotational spring and a damper. For
-    any other device, the tool turns with the device.
+    For a device that can apply torque, the angular velocity is computed in the same way. The
+    balance of torques contains the moment of inertia about the tip, the rotational spring and a
+    damper. Otherwise, the tool turns with the device.
 
     Parameters
     ----------
@@ -136,7 +139,7 @@ class CuttingTool(HeldTool):
         self._rotation = np.eye(3)
 
     def meet(self, tissue: CutTissue, rotation: Array) -> None:
-        """Set the tissue, and the first rotation from tool to world."""
+        """Set the tissue, and the initial rotation from tool to world."""
         self._tissue = tissue
         self._start = rotation.copy()
         self._searched = None
@@ -189,7 +192,7 @@ class CuttingTool(HeldTool):
         return self.tip_m
 
     def _prepare(self, step_s: float) -> None:
-        """Compute the terms of the balance that are constant for a mass and a step."""
+        """Compute the terms of the force balance that depend only on the mass and the time step."""
         springs = np.full(3, self.stiffness_N_m)
         turning = self._turn.stiffness_Nm_rad
         if turning < inf:
@@ -209,9 +212,10 @@ class CuttingTool(HeldTool):
         """Change the velocity until ``falling u = driving + F(u)``, and set `wrench`.
 
         The unknowns u are the first three or all six components of the velocity, multiplied by
-        `LEVER`. ``driving`` is the force of inertia, spring and damper at zero velocity, and
-        ``falling`` is its decrease per velocity. The balance is solved in components along the axes
-        of the tool. `velocity` is the velocity before the step.
+        `LEVER`. ``driving`` is the force of inertia, spring and damper at zero velocity. This force
+        decreases with the velocity, and ``falling`` is the decrease per velocity. The balance is
+        solved in components along the axes of the tool. The argument `velocity` is the velocity
+        before the step.
         """
         rotation = self._rotation
         falling = self._falling
@@ -265,8 +269,9 @@ class CuttingTool(HeldTool):
 class _Line:
     """Line search along Newton steps: monotonicity test of Deuflhard (2004), algorithm NLEQ-ERR.
 
-    At a trial point, the correction is computed with the matrix at the start of the step. The point
-    is accepted if this correction is shorter than the step. Otherwise a shorter step is tried.
+    At a trial point, the residual and the matrix at the start of the step give a simplified Newton
+    correction. The point is accepted if the correction is shorter than the step. Otherwise, a
+    shorter step is tried.
 
     Attributes
     ----------
@@ -282,7 +287,7 @@ class _Line:
         self._share = 0.0
 
     def begin(self, matrix: Array, missing: Array) -> None:
-        """Begin a Newton step at the accepted point, with its matrix and its residual."""
+        """Begin a Newton step at the accepted point, with its matrix and residual."""
         self._start = self.tried
         self._system = matrix
         *_, self._step, _ = dgesv(matrix, missing)
@@ -291,7 +296,7 @@ class _Line:
         self.tried = self._start + self._share * self._step
 
     def accepts(self, missing: Array) -> bool:
-        """Return True to accept the tried point with this residual; otherwise shorten the step."""
+        """Return True to accept the tried point with this residual; otherwise, shorten the step."""
         share = self._share
         if share == 0.0:
             return True

@@ -1,4 +1,4 @@
-"""Tool coupled to a haptic device by a spring, with its quasi-static balance on soft tissue."""
+"""Tool that is coupled to a haptic device by a spring and touches soft tissue."""
 
 from abc import ABC, abstractmethod
 from math import inf, sqrt
@@ -11,25 +11,32 @@ from tissue.models.tissue_model import Response
 from tissue.motion.quaternion import UPRIGHT, Quaternion, exponential, product, turn_between
 
 LEAST_RAD = 1e-5
-"""Smallest rotation for an estimate of the stiffness [rad]; a tool of 20 mm moves 0.2 um."""
+"""Smallest rotation from which a rotational stiffness is estimated [rad].
+
+At this rotation, a point at a distance of 20 mm moves by 0.2 um.
+"""
 FURTHEST_RAD = 2.5
-"""Largest rotation of the spring [rad]; at pi its direction would be undefined."""
+"""Largest rotation of the coupling spring [rad].
+
+At a rotation of pi, the direction of the torque would be undefined.
+"""
 
 
 class HeldTurn:
     """Rotation of the tool from its first orientation, as a unit quaternion.
 
     The torques of spring and tissue balance: k theta + T = 0. Here theta is the rotation vector
-    from tool to device, and T the torque on the tool about its tip. One Newton step per tick uses
-    the torque of the last tick. An isotropic stiffness of the tissue is estimated from the change
-    of torque along the last rotations of the tool. A larger estimate is used at once, and a smaller
-    estimate gradually. Without a torque, the tool has the orientation of the device.
+    from tool to device, and T the torque on the tool about its tip. One Newton step per tick is
+    computed, with the torque of the last tick. An isotropic stiffness of the tissue is estimated
+    from the change of torque along the last rotations of the tool. An increase of the estimate is
+    used at once, and a decrease gradually. Without a torque, the tool has the orientation of the
+    device.
 
     Parameters
     ----------
     stiffness_Nm_rad
-        Stiffness of the spring, for torques at the tissue [N m/rad]; infinite for a tool that turns
-        with its device.
+        Stiffness of the spring for torques at the tool, before scaling to the device [N m/rad]. It
+        is infinite for a tool that turns with its device.
     """
 
     def __init__(self, stiffness_Nm_rad: float = inf) -> None:
@@ -40,7 +47,7 @@ class HeldTurn:
         self._torque = np.zeros(3)
 
     def follow(self, device: Quaternion, torque_Nm: Array) -> Quaternion:
-        """Compute a Newton step of the balance, and return the rotation of the tool.
+        """Compute a Newton step of the torque balance, and return the rotation of the tool.
 
         ``torque_Nm`` is the torque on the tool [N m], shape (3,).
         """
@@ -63,7 +70,7 @@ class HeldTurn:
         return self.quaternion
 
     def _learn(self, torque_Nm: Array) -> None:
-        """Update the estimated stiffness from the last rotation."""
+        """Update the estimated rotational stiffness of the tissue from the last rotation."""
         turned = np.array(turn_between(self._before, self.quaternion))
         square = float(turned.dot(turned))
         if square > LEAST_RAD**2:
@@ -77,11 +84,11 @@ class HeldTurn:
 FADE = 0.8
 """Factor per tick by which the estimated stiffness of a tissue decays.
 
-The estimate falls to a tenth in 10 ticks, about the time between two encoder steps at a slow
-motion. A tool therefore does not jump between free space and contact between two encoder steps.
+The estimate falls to a tenth in 10 ticks, which is about the time between two encoder steps in a
+slow motion. The tool therefore does not alternate between free space and contact in this time.
 """
 LEAST_M = 2e-6
-"""Smallest displacement for an estimate of the tissue stiffness [m].
+"""Smallest displacement of the tip from which the tissue stiffness is estimated [m].
 
 The value is far below an encoder step (55 um on a Touch), and far above the rounding error.
 """
@@ -90,14 +97,14 @@ The value is far below an encoder step (55 um on a Touch), and far above the rou
 class HeldTool(ABC):
     """Law for the pose of a tool that is coupled to a device by a spring.
 
-    The spring force is the stiffness times the distance from tool to device. The device pose is
-    given as the pose that the tool should have: position [m] at the scale of the tool, and rotation
-    from the first orientation.
+    The spring force is the stiffness times the distance from tool to device. The pose of the device
+    is given as the pose that the tool would have without a force. Its position [m] is scaled to the
+    tool, and its rotation is relative to the first orientation.
 
     Parameters
     ----------
     stiffness_N_m
-        Stiffness of the spring, for forces at the tissue [N/m].
+        Stiffness of the spring for forces at the tool, before scaling to the device [N/m].
     tip_m
         Start position of the tip [m], shape (3,).
     turn
@@ -111,7 +118,7 @@ class HeldTool(ABC):
         Velocity of the tip [m/s] and angular velocity [rad/s], shape (6,); None for a tool without
         inertia.
     wrench
-        Force [N] of the tissue, and torque about the tip [N m], in the last step, shape (6,); None
+        Force [N] and torque about the tip [N m] of the tissue in the last step, shape (6,); None
         for a tool without inertia.
     """
 
@@ -140,30 +147,33 @@ class HeldTool(ABC):
         """Move one step towards the device [m], and return the tip position.
 
         ``velocity`` is the smoothed velocity of the device [m/s] and its spin [rad/s], shape (6,).
-        ``response`` is the last response of the tissue.
+        ``response`` is the response of the tissue in the last tick.
         """
 
     def lands(self, response: Response) -> bool:
         """Return True if the response at the new position requires another step in this tick.
 
-        Another step is required if a free tool has entered the tissue.
+        This is the case if a free tool has entered the tissue.
         """
         return False
 
     def rest(self) -> None:
-        """Stop the tool. A tool without inertia has no velocity that must be reset."""
+        """Set the velocity of the tool to zero.
+
+        For a tool without inertia, nothing is done.
+        """
         return
 
 
 class PressingTool(HeldTool):
     """Tool on a tissue that pushes back, such as an organ or a wall.
 
-    The tip balances spring and tissue, k (x_device - x) + F(x) = 0. One Newton step per tick uses
-    the force F and the stiffness K of the last tick: x' = x + (k + K)^-1 (k (x_device - x) + F).
-    For a tissue without a known K, an isotropic stiffness is estimated from the change of force
-    along the last motions of the tip. A larger estimate is used at once, and a smaller estimate
-    gradually. If the balance would require the tissue to pull, the balance is not used. The tip is
-    then at the device, as without contact.
+    At the tip, the forces of spring and tissue balance: k (x_device - x) + F(x) = 0. In each tick,
+    one Newton step is computed with the force F and the tissue stiffness K of the last tick: x' = x
+    + (k + K)^-1 (k (x_device - x) + F). For a tissue without a known K, an isotropic stiffness is
+    estimated from the change of force along the last motions of the tip. An increase of the
+    estimate is used at once, and a decrease gradually. If the balance requires a tissue that pulls,
+    the tip moves to the device, as without contact.
     """
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
@@ -182,7 +192,7 @@ class PressingTool(HeldTool):
         response: Response,
         step_s: float,
     ) -> Array:
-        """Compute a Newton step of the balance."""
+        """Compute a Newton step of the force balance, and return the tip position."""
         self._turn.follow(device, response.wrench[3:])
         force = response.wrench[:3]
         tip = self.tip_m
@@ -211,7 +221,7 @@ class PressingTool(HeldTool):
         return self._free and any(response.wrench[:3].tolist())
 
     def _learn(self, force_N: Array) -> None:
-        """Update the estimated stiffness from the last motion."""
+        """Update the estimated stiffness of the tissue from the last motion of the tip."""
         moved = self.tip_m - self._before_m
         changed = force_N - self._before_N
         square = float(moved.dot(moved))

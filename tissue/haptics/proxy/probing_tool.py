@@ -19,17 +19,17 @@ RIGID_LEVER_M = 10.0
 """Lever (see `Proxy`) of the rotational spring for a device that imposes its rotation [m].
 
 The value is a hundred times the lever of any tool. The rotational compliance is 1 / lever^2.
-Contacts therefore turn the tool by only 1e-4 of the rotation that they would cause with a lever of
-the tool's own size.
+Contacts therefore turn the tool by only 1e-4 of the rotation that would result from a lever of the
+tool's own size.
 """
 
 
 class ProbingTool(HeldTool):
-    """Tool of any shape, held as a god-object: its pose never penetrates bone.
+    """Tool of any shape in contact with rigid bone; as a god-object, it never penetrates the bone.
 
-    The contact forces at the shell points balance the springs of translation and rotation, see
-    :class:`tissue.haptics.proxy.proxy.Proxy`. The voxels of the bone are not copied, so that other
-    parts of the program may carve them.
+    The contact forces at points of the tool's surface balance the coupling springs; see
+    :class:`tissue.haptics.proxy.proxy.Proxy`. The tool uses the voxels of the bone without copying
+    them, so another tool may carve the bone.
     """
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
@@ -41,7 +41,7 @@ class ProbingTool(HeldTool):
         self.proxy: Proxy | None = None
 
     def meet(self, shell: ToolShell, field: ContactField) -> Proxy:
-        """Place the tool at its first pose, and set the field that it may touch.
+        """Set the objects that the tool may touch, and place the tool at its first pose.
 
         At this pose, the axes of the shell are parallel to the axes of the world.
 
@@ -72,16 +72,17 @@ class ProbingTool(HeldTool):
 
 
 class ProbedBone(FreeSpace):
-    """Rigid and unchanged voxels under a tool that does not cut.
+    """Tissue model of rigid bone that a tool touches but does not cut.
 
-    The first measure is the number of contacts with force. The second measure is 1 if the
-    god-object did not settle within its steps, and otherwise 0. ``engaged_m2`` is the area per
-    shell point times the number of contacts. It is assigned to the layer at the centre of pressure.
+    The model writes two measures to the trace. The first measure is the number of contacts with
+    force. The second measure is 1 if the god-object did not settle within a tick, and otherwise 0.
+    The contact area ``engaged_m2`` is the area per surface point times the number of contacts. It
+    is assigned to the layer at the centre of pressure.
 
     Parameters
     ----------
     volume
-        Bone.
+        Voxels of the bone.
     shell
         Surface of the tool, in its own frame.
     area_m2
@@ -136,7 +137,7 @@ class ProbedBone(FreeSpace):
             ) from error
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Return the contact force, and its torque about the tip."""
+        """Return the contact force on the tool, and the torque of the contacts about the tip."""
         response = self._response
         proxy = self._tool.proxy
         assert proxy is not None, "a tool must be placed before it is asked"
@@ -156,7 +157,8 @@ class ProbedBone(FreeSpace):
     def _layer_under(self, point_m: Array, push_m: Array) -> int:
         """Return the layer of the voxel that is half a voxel behind a surface point.
 
-        ``push_m`` is the push at the point [m], which points outward.
+        ``push_m`` is an outward vector at the point: the contact force divided by the coupling
+        stiffness [m].
         """
         volume = self._volume
         size = float(np.sqrt(push_m @ push_m))

@@ -1,11 +1,11 @@
-"""God-object: pose of a tool without penetration, in three or six degrees of freedom.
+"""God-object (proxy): pose of a tool that follows a device without penetrating solids.
 
-The device follows the hand and may enter solids. The proxy follows the device as far as possible
-and stays outside. The coupling between device and proxy gives the force on the hand, see
-`tissue.haptics.renderer.ProxyRenderer`. The pose of the proxy is the static equilibrium of the tool
-between the coupling springs and the contacts. The proxy reaches this pose in small steps from its
-last pose, each of which reduces the energy of the springs. A search for the nearest free point
-could instead end on the far side of a thin wall.
+The proxy has three or six degrees of freedom. The device follows the hand and may enter solids, but
+the proxy stays outside. The coupling between device and proxy gives the force on the hand; see
+`tissue.haptics.renderer.ProxyRenderer`. At the pose of the proxy, the coupling springs and the
+contact forces are in static equilibrium. The proxy moves to this pose in small steps from its last
+pose, and each step reduces the energy of the springs. In contrast, a search for the free point
+nearest to the device could end on the far side of a thin wall.
 """
 
 from dataclasses import dataclass, field
@@ -42,7 +42,7 @@ from tissue.models.bone.bricks import BrickStore
 FELT_VOXELS = 0.5 * sqrt(3.0)
 """Largest distance from a voxel at which its trilinear fraction is not zero [voxel]."""
 NOWHERE_M = 1e30
-"""Clearance if there is no bone at all [m]; the number is finite in single precision."""
+"""Distance to bone if there is no bone at all [m]; the number is finite in single precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,17 +92,18 @@ Solid = HalfSpace | Box | Ball
 
 
 class ContactField:
-    """Solids, and optionally bone in voxels, as arrays for the proxy kernels.
+    """Objects that a tool may touch: solids, and optionally bone that is modelled by voxels.
 
     Parameters
     ----------
     *solids
-        Exact convex solids. A concave object consists of several solids. For example, an inner
-        corner consists of two half-spaces.
+        Convex solids that the tool may touch. Use several solids for a concave object, such as two
+        half-spaces for an inner corner.
     store
-        Bone that may be carved during contact. On its contact surface, the trilinear fraction of
-        bone is 1/4. This surface lies about a quarter of a voxel outside the true surface. A tool
-        with normals corrects for this offset; see :mod:`kernels.voxmap`.
+        Voxels of bone, which may be carved during contact. The surface for contact is where the
+        interpolated fraction of bone is 1/4. This surface lies about a quarter of a voxel outside
+        the true surface. For a tool with normals, the offset is corrected; see
+        :mod:`kernels.voxmap`.
     device
         Warp device name. If a store is given, the device of the store is used.
     """
@@ -134,12 +135,12 @@ class ContactField:
         self.arrays = arrays
 
     def distance(self, points_m: Array) -> tuple[Array, Array]:
-        """Return the distances of points to the nearest solid [m], and the outward directions.
+        """Return the distances [m] of points to the nearest object, and the outward directions.
 
         For points of shape (n, 3), the distances have shape (n,) and the directions (n, 3). The
         distances are exact for solids. For voxels, the distance to the contact surface is accurate
-        to first order within half a voxel of this surface. Farther away, the distance is a lower
-        bound and the direction is (0, 0, 0).
+        to first order within half a voxel of this surface. For points farther away, the distance is
+        a lower bound and the direction is (0, 0, 0).
         """
         points = np.ascontiguousarray(points_m, dtype=np.float64)
         distance = wp.zeros(len(points), dtype=wp.float64, device=self.device)
@@ -156,7 +157,7 @@ class ContactField:
 
 
 def _solid(solid: Solid) -> tuple[int, Array, Array, Array]:
-    """Return kind, centre, rotation and size of a solid for the kernels."""
+    """Return the kind, centre, rotation and size of a solid, as the kernels require them."""
     match solid:
         case HalfSpace():
             z = np.asarray(solid.normal, dtype=np.float64) / np.linalg.norm(solid.normal)
@@ -172,9 +173,9 @@ def _solid(solid: Solid) -> tuple[int, Array, Array, Array]:
 
 
 def _clearance(holds: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32]:
-    """Return a lower bound of the distance to bone [m] for each cell, a block of voxels.
+    """Return a lower bound of the distance to bone [m] for each block of voxels.
 
-    The bound is valid everywhere in a cell. Bone includes its surroundings in which the trilinear
+    The bound is valid for all points in a block. Points near bone count as bone if their trilinear
     fraction is above zero.
     """
     counts = [ceil(n / CELL) for n in holds.shape]
@@ -193,7 +194,7 @@ def _clearance(holds: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32
 
 @dataclass(frozen=True, eq=False)
 class ToolShell:
-    """Surface points of a tool in its frame: the origin is the tip, z runs from tip to shank.
+    """Points on the surface of a tool, with the origin at the tip and z from tip to shank.
 
     Attributes
     ----------
@@ -214,9 +215,9 @@ class ToolShell:
     def ball(
         cls, radius_m: float = 0.0, *, centre_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ) -> "ToolShell":
-        """Return one exact ball of ``radius_m`` [m].
+        """Return a shell that consists of one ball.
 
-        With radius 0, the tool is the point of the classical god-object.
+        With a radius of 0, the tool is a point, as in the classical god-object method.
         """
         return cls(np.array([centre_m], dtype=np.float64), np.zeros((1, 3)), radius_m)
 
@@ -233,33 +234,35 @@ class ToolShell:
 
     @property
     def reach_m(self) -> float:
-        """Largest distance of the surface from the tool's origin [m]."""
+        """Largest distance of the tool's surface from the tool's origin [m]."""
         return float(np.linalg.norm(self.points_m, axis=1).max()) + self.radius_m
 
 
 STEP_M = 2.5e-4
-"""Longest step near solids [m].
+"""Largest motion of the proxy in one step near solids [m].
 
 The value is chosen. The tests with exact solids also pass with 1 and 10 mm.
 """
 STEP_VOXELS = 0.5
-"""Longest step near voxels [voxel].
+"""Largest motion of the proxy in one step near voxels [voxels].
 
-On a rough surface of 0.2 mm voxels, points of a burr penetrate by up to 11 um with steps of 1
-voxel. With steps of 2 voxels, they penetrate by up to 23 um. The tests allow 10 um.
+On a rough surface of 0.2 mm voxels, points of a burr penetrate the bone by up to 11 um with steps
+of 1 voxel, and by up to 23 um with steps of 2 voxels. The tests allow 10 um.
 """
 TOLERANCE_M = 1e-12
 TOLERANCE_VOXELS = 1e-3
 """Length of a step below which the proxy has settled [voxel]; `TOLERANCE_M` is in metres.
 
-`TOLERANCE_M` is for exact solids, and allows for rounding. `TOLERANCE_VOXELS` is for voxels.
+`TOLERANCE_M` is used for solids, where only rounding limits the accuracy. `TOLERANCE_VOXELS` is
+used for voxels.
 """
 STEP_LIMIT = 64
 SOLVE_LIMIT = 150
 """Largest number of active-set solves in a tick; `STEP_LIMIT` is the largest number of steps.
 
-After a tick that reaches a limit, the motion continues in the next tick. On a jerky path over a
-rough surface of voxels, 6 of 1500 ticks reach a limit. With half of the limits, it is 49 ticks.
+If a tick reaches a limit, the proxy continues its motion in the next tick. On a jerky path over a
+rough surface of voxels, 6 of 1500 ticks reach a limit. If both limits are halved, 49 ticks reach a
+limit.
 """
 _POSITION = slice(POSITION, POSITION + 3)
 _ROTATION = slice(ROTATION, ROTATION + 4)
@@ -271,7 +274,7 @@ _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
 @dataclass
 class ProxyResult:
-    """State of the proxy; every tick overwrites it.
+    """State of the proxy after a tick; the next tick overwrites the object.
 
     Attributes
     ----------
@@ -280,14 +283,14 @@ class ProxyResult:
     quaternion
         Rotation from tool to world (x, y, z, w), shape (4,).
     settled
-        False if the proxy did not settle within the steps of a tick. It then continues in the next
+        True if the proxy has reached its equilibrium. Otherwise it continues to move in the next
         tick.
     contacts
         Number of contacts with force.
     push_m, push_moment_m2
-        Sum of the contact forces on the tool, and sum of their moments about its origin, each
-        divided by the coupling stiffness k. Multiplied by k, the sums are in N and N m. When the
-        proxy has settled, the sums balance the coupling springs.
+        Sum of the contact forces on the tool, and sum of their moments about the tool's origin,
+        both divided by the coupling stiffness k. Multiply by k to obtain N and N m. When the proxy
+        has settled, the sums balance the coupling springs.
     arm_m
         Vector from the tool's origin to the centre of pressure, in the world's axes [m], shape
         (3,).
@@ -310,10 +313,11 @@ class Proxy:
     shell
         Surface of the tool.
     field
-        Solids and bone that the tool may touch.
+        Objects that the tool may touch.
     lever_m
-        Square root of the ratio of the coupling's rotational stiffness to its stiffness [m]. None
-        for three degrees of freedom; the tool then keeps its initial orientation.
+        Square root of the ratio of rotational stiffness [N m/rad] to translational stiffness [N/m]
+        of the coupling [m]. With None, the tool has three degrees of freedom and keeps its initial
+        orientation.
     friction
         Coulomb's coefficient of friction.
     """
@@ -389,9 +393,9 @@ class Proxy:
         return self.result
 
     def advance(self, position_m: Array, quaternion: Array = _IDENTITY) -> ProxyResult:
-        """Follow the device to its pose, a position [m] and a quaternion (x, y, z, w).
+        """Follow the device to a pose, given by position [m] and quaternion (x, y, z, w).
 
-        The next call overwrites the returned object.
+        The next call overwrites the object that this call returns.
 
         Raises
         ------
@@ -403,7 +407,7 @@ class Proxy:
         return self.result
 
     def _aim(self, position_m: Array, quaternion: Array) -> None:
-        """Set the pose of the device as the goal."""
+        """Set the pose of the device as the goal of the proxy."""
         if not isfinite(float(position_m.sum()) + float(quaternion.sum())):
             raise InputError(
                 "the device's pose",

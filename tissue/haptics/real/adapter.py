@@ -1,4 +1,4 @@
-"""Adapters of real haptic devices: base class, recorded motion as a device, and search."""
+"""Adapters of real haptic devices: base class, recorded motion as device, device search."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -30,11 +30,11 @@ ADAPTERS = {
     "network": ("network", "NetworkAdapter"),
     "recorded": ("adapter", "RecordedAdapter"),
 }
-"""Module of this package and class that open a real device, keyed by the name of the device."""
+"""Module and class that open a real device, keyed by the name of the device."""
 
 
 class HardwareSample(NamedTuple):
-    """Newest sample of a device, in the frame of the device and in SI units."""
+    """Sample of a real device, in the frame of the device and in SI units."""
 
     position_m: Triple
     velocity_m_s: Triple = (0.0, 0.0, 0.0)
@@ -46,7 +46,7 @@ class HardwareSample(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class FoundDevice:
-    """Device found by a search, or the reason why the search has found none.
+    """Device that a search has found, or the reason why the search has found no device.
 
     Attributes
     ----------
@@ -59,7 +59,8 @@ class FoundDevice:
     limits
         Limits of the device; None without a device.
     problem
-        One sentence with the missing part and where to get it; empty if the device can be opened.
+        Sentence that names the missing hardware or software and its source; empty if the device can
+        be opened.
     """
 
     name: str
@@ -70,24 +71,26 @@ class FoundDevice:
 
 
 class HardwareAdapter(ABC):
-    """Real device in its own frame. `MappedDevice` makes a `Device` from it.
+    """Base class of adapters of real devices, with poses in the frame of the device.
 
-    An adapter is a context manager. Entering it opens the device. Leaving it removes all force and
-    closes the device. ``close`` removes all force without calling ``push``. It may be called
-    repeatedly, and from another thread.
+    `MappedDevice` makes a `Device` from an adapter. An adapter is a context manager: entering it
+    opens the device, and leaving it removes all force and closes the device. The method ``close``
+    removes all force without calling ``push``. It may be called repeatedly, and from another
+    thread.
 
     Parameters
     ----------
     hardware
-        Settings of the device. Their ``address`` selects the device; empty for the default device.
+        Settings of the device. The setting ``address`` selects the device; it is empty for the
+        default device.
 
     Attributes
     ----------
     limits
         Limits of the device, used to check the stability of the loop and to limit forces.
     releases
-        Number of times that the adapter has removed the force by itself. After each time the force
-        must increase from zero.
+        Number of times that the adapter has removed the force by itself. After each removal, the
+        force must increase from zero.
     """
 
     name: ClassVar[str]
@@ -112,7 +115,7 @@ class HardwareAdapter(ABC):
 
     @abstractmethod
     def open(self) -> None:
-        """Open the device without force."""
+        """Open the device with zero force."""
 
     @abstractmethod
     def poll(self) -> HardwareSample | None:
@@ -126,7 +129,7 @@ class HardwareAdapter(ABC):
 
     @abstractmethod
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play force and torque on the hand, in the device's frame, until the next call."""
+        """Apply a force and a torque, in the device's frame, to the hand until the next call."""
 
     @abstractmethod
     def close(self) -> None:
@@ -143,7 +146,7 @@ class HardwareAdapter(ABC):
 
     @classmethod
     def found(cls, where: str, detail: str, problem: str = "") -> FoundDevice:
-        """Return a device that a search has found."""
+        """Return the description of a device that a search has found."""
         limits = device_parameters(cls.name)
         return FoundDevice(
             name=cls.name, where=where, detail=detail, limits=limits, problem=problem
@@ -151,23 +154,23 @@ class HardwareAdapter(ABC):
 
     @classmethod
     def missing(cls, problem: object, where: str = "") -> list[FoundDevice]:
-        """Return the reason why a search has found no device."""
+        """Return a list with the reason why a search has found no device."""
         return [FoundDevice(name=cls.name, where=where, problem=str(problem))]
 
 
 class RecordedAdapter(HardwareAdapter):
-    """Device that plays the poses of a file, one pose for each call of `poll`.
+    """Device that returns the poses of a file, one pose for each call of `poll`.
 
-    After the last pose the force fades. The poses are played at their recorded positions, so that
-    the tool of a run starts at the first pose. The poses move the device, whereas ``motion.kind =
-    "replay"`` moves the tool itself. Coupling, prediction and commanded force are computed as for a
-    hand with this motion.
+    After the last pose, the force fades to zero. The tool of a run starts at the first recorded
+    position. With this device, the poses move the device, and the coupling moves the tool.
+    Coupling, prediction and force are computed as for a hand with the recorded motion. In contrast,
+    ``motion.kind = "replay"`` moves the tool itself.
 
     Parameters
     ----------
     hardware
-        Settings of the device. Their ``address`` is the path of a file that ``motion.file``
-        accepts, such as a run's trace.csv.
+        Settings of the device. The setting ``address`` is the path of a file with poses, such as
+        the trace.csv of a run. All files that the scene key ``motion.file`` accepts are possible.
 
     Raises
     ------
@@ -177,7 +180,7 @@ class RecordedAdapter(HardwareAdapter):
 
     name = "recorded"
     bounds_itself = True
-    """True, so no reach is checked: a file has no arm that bounds its positions."""
+    """True, so the reach of the device is not checked; a file has no arm."""
 
     def __init__(self, hardware: "Hardware | None" = None) -> None:
         super().__init__(hardware)
@@ -208,14 +211,14 @@ class RecordedAdapter(HardwareAdapter):
         self._next = 0
 
     def poll(self) -> HardwareSample | None:
-        """Return the pose of the next tick; None after the last one."""
+        """Return the pose of the next tick; None after the last pose."""
         if self._next >= len(self._samples):
             return None
         self._next += 1
         return self._samples[self._next - 1]
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Ignore a force and a torque, because a file has no motors."""
+        """Ignore the force and the torque, because a file has no motors."""
 
     def close(self) -> None:
         """End the recording."""
@@ -269,7 +272,7 @@ def checked_url(
 
 
 def adapter_class(name: str) -> type[HardwareAdapter]:
-    """Return the adapter class of a device. Call it with the `Hardware` of the scene."""
+    """Return the adapter class of a device, which is called with the `Hardware` of a scene."""
     module, attribute = ADAPTERS[name]
     found: type[HardwareAdapter] = getattr(
         import_module(f"tissue.haptics.real.{module}"), attribute
@@ -279,10 +282,12 @@ def adapter_class(name: str) -> type[HardwareAdapter]:
 
 @suggests_arguments
 def devices() -> list[FoundDevice]:
-    """Return the real devices of this computer, and for each missing kind the reason.
+    """Return the real devices of this computer.
 
-    A search takes some seconds: it opens each device for a moment, and waits for a device on the
-    network.
+    For each kind of device that is not found, the result contains the reason.
+
+    The search takes some seconds, because it opens each device for a moment and waits for a device
+    on the network.
     """
     found: list[FoundDevice] = []
     for name in DEVICES:

@@ -1,9 +1,9 @@
-"""Adapters for devices of Force Dimension, with forcedimension-core.
+"""Adapters for devices of Force Dimension, which use the package forcedimension-core.
 
-The package loads the vendor's library at run time. The following is from forcedimension-core 1.0.0.
-Every call takes the number of the device, returns -1 for an error, and fills a buffer. Positions
-are in m. Matrices contain the axes of the handle as columns. x points to the hand, y to its right,
-z up.
+The package forcedimension-core loads the vendor's library at run time. In its version 1.0.0, every
+function takes the number of the device, fills a buffer, and returns -1 for an error. Positions are
+in m. The columns of a rotation matrix are the axes of the handle. The axis x points towards the
+user, y to the right of the user, and z up.
 """
 
 from collections import Counter
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
 FAILED = -1
 UNCHANGED = 1
-"""Return value of a call for no new data; the value for an error is `FAILED`.
+"""Return value of a library function without new data; `FAILED` is the value for an error.
 
-There is no new data if the last call was too recent (TIMEGUARD of the library).
+The library returns no new data if the last call was too recent (its TIMEGUARD).
 """
 MOST_FAILURES = 100
 """Number of consecutive failed calls after which the device is treated as lost.
 
-With two calls in each tick, so many calls take 50 ms. After this time the force of a silent device
-is removed anyway.
+With two calls in each tick, the limit is reached after 50 ms. After the same time, the force of a
+device that does not respond is removed in any case.
 """
 MISSING = (
     "must be installed for a device of Force Dimension, got none. Run pip install "
@@ -37,20 +37,21 @@ MISSING = (
     "forcedimension.com"
 )
 _OPEN: Counter[int] = Counter()
-"""Number of adapters of this process for each open device, keyed by the library's number."""
+"""Number of adapters that use an open device, keyed by the library's number of the device."""
 
 
 class ForceDimensionAdapter(HardwareAdapter):
-    """Device of Force Dimension without motors for rotation, such as the omega.6.
+    """Adapter for a device of Force Dimension without rotational motors, such as the omega.6.
 
     Each call queries the device over USB and returns within a fraction of a millisecond. The calls
-    therefore run in the thread of the loop. If the device has a wrist without motors, its
-    orientation is read.
+    therefore run in the thread of the loop. If the device has a wrist without motors, the
+    orientation of the wrist is read.
 
     Parameters
     ----------
     hardware
-        Settings of the device. Their ``address`` is the serial number; empty for the first device.
+        Settings of the device. The setting ``address`` is the serial number; it is empty for the
+        first device.
 
     Raises
     ------
@@ -60,7 +61,7 @@ class ForceDimensionAdapter(HardwareAdapter):
 
     name = "forcedimension"
     has_motors = False
-    """True if the device has a wrist with motors."""
+    """True if the wrist of the device has motors, so that the device can apply torque."""
 
     def __init__(self, hardware: "Hardware | None" = None) -> None:
         super().__init__(hardware)
@@ -166,7 +167,7 @@ class ForceDimensionAdapter(HardwareAdapter):
         )
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play a force until the next call, and a torque if the wrist has motors."""
+        """Apply a force, and a torque if the wrist has motors, until the next call."""
         torque = torque_Nm.tolist() if self.has_motors else NOTHING
         self._count(self._dhd.setForceAndTorque(force_N.tolist(), torque, self._id))
 
@@ -192,9 +193,9 @@ class ForceDimensionAdapter(HardwareAdapter):
 
 
 class SigmaAdapter(ForceDimensionAdapter):
-    """Device of Force Dimension whose wrist has motors, such as the sigma.7.
+    """Adapter for a device of Force Dimension with a motorised wrist, such as the sigma.7.
 
-    The device also plays torque.
+    The device can also apply torque.
     """
 
     name = "sigma-7"
@@ -202,7 +203,7 @@ class SigmaAdapter(ForceDimensionAdapter):
 
 
 def _library() -> Any:
-    """Return the functions of the vendor's library for a single device."""
+    """Return the module with the vendor's functions for a single device."""
     try:
         from forcedimension_core import dhd
     except Exception as error:
@@ -214,6 +215,6 @@ def _library() -> Any:
 
 
 def _refused(dhd: Any) -> str:
-    """Return the last error of the library as a sentence."""
+    """Return a sentence that describes the last error of the library."""
     remedy = "check power and cable, and that no other program uses the device"
     return str(InputError("the device", "answer", dhd.errorGetLastStr(), remedy))

@@ -1,16 +1,16 @@
-"""Adapter for Haply's Inverse3 with the Inverse Service.
+"""Adapter for Haply's device Inverse3, which is accessed through the Inverse Service.
 
-The device plays force in three degrees of freedom. Its handle provides orientation and buttons. The
-adapter is not for clinical use. It was tested with a stand-in that uses the documented protocol,
-and not with the device.
+The device applies force in three degrees of freedom. The handle provides orientation and buttons.
+The adapter is not for clinical use. It was tested with a simulated service that uses the documented
+protocol, and not with the device.
 
-A thread sends the newest force and receives the newest state. The service answers every frame with
-one state. The service plays a force only as long as the force is sent repeatedly. The thread sends
-a frame only after the answer to the previous frame, so at most one answer is pending. An answer
-contains the state that belongs to the force of the previous frame. A state is therefore at most as
-old as one exchange of a frame and its answer. Answers do not identify the frame to which they
-belong. If an answer is late, the thread sends one frame with zero force without waiting. It then
-sends nothing until both answers have arrived or are treated as lost.
+A thread exchanges frames with the service: it sends the newest force and receives the newest state
+of the device. The service answers every frame with one state. It applies a force only as long as
+the force is sent repeatedly. The thread sends a frame only after the answer to the previous frame,
+so at most one answer is pending. An answer contains the state that belongs to the previous frame.
+The age of a state is therefore at most the duration of one exchange. Answers do not identify the
+frame to which they belong. If an answer is late, the thread immediately sends a frame with zero
+force. It then sends nothing until the answers to both frames have arrived or are treated as lost.
 """
 
 import socket
@@ -44,31 +44,33 @@ if TYPE_CHECKING:
 PERIOD_S = 1e-3
 """Longest time between an answer and the next frame [s]: one tick."""
 ANSWER_S = 0.02
-"""Longest wait for an answer [s].
+"""Longest time to wait for an answer of the service before the force is removed [s].
 
-The value equals the default of ``hardware.watchdog_ms``. The vendor does not publish such a time.
+The value equals the default of the scene key ``hardware.watchdog_ms``. The vendor does not publish
+a limit.
 """
 LOST_S = 0.5
 """Time without answers after which late answers are treated as lost [s].
 
-The force is zero in this time, so a long wait is safe.
+A long time is safe, because the force is zero during this time.
 """
 PATIENCE_S = 0.01
 """Interval at which the thread checks whether it must end [s]."""
 HOLD_S = 0.03
 """Longest time for which a force is repeated without a new command from the loop [s].
 
-The value allows for late ticks, and the force is still removed within 50 ms.
+The value allows for late ticks. After a failure of the loop, the force is still removed within 50
+ms.
 """
 GIVE_UP_S = 3.0
 """Longest time for which a run continues without a sample [s].
 
-This time is longer than `AGAIN_S`, so that the attempts to reconnect end first.
+The time is longer than `AGAIN_S`, so that attempts to reconnect end before the run.
 """
 AGAIN_S = 2.5
 """Longest time for attempts to reconnect to the service, for example after a restart [s]."""
 MOST_BEHIND = 20
-"""Largest number of frames read at once, if the service sends more than requested."""
+"""Largest number of frames read at once, if the service sends more frames than requested."""
 OPEN_S = 2.0
 """Longest time for the service to open and to send its first frame [s]."""
 START_IT = (
@@ -78,17 +80,17 @@ START_IT = (
 
 
 class HaplyAdapter(HardwareAdapter):
-    """Adapter of an Inverse3 in its own frame: x to the right, y forward, z up.
+    """Adapter of an Inverse3, with the axes x to the right, y forward and z up.
 
-    `poll` and `push` only exchange numbers with the thread of a `_Session`, so that they never
-    wait. Torque is not played. However the exchange ends, the last force sent to the service is
-    zero.
+    The methods `poll` and `push` never wait, because they only exchange numbers with the thread of
+    a `_Session`. Torque is ignored. At every end of the exchange, the last force sent to the
+    service is zero.
 
     Parameters
     ----------
     hardware
-        Settings of the device. Their ``address`` is the address of the service, ``ws://HOST:PORT``,
-        with ``#DEVICE`` to select one of several devices.
+        Settings of the device. The setting ``address`` is the address of the service,
+        ``ws://HOST:PORT``. Append ``#DEVICE`` to select one of several devices.
     """
 
     name = "haply"
@@ -122,7 +124,7 @@ class HaplyAdapter(HardwareAdapter):
             session.end()
 
     def open(self) -> None:
-        """Start the exchange of frames, without force, and wait for the first sample.
+        """Start to exchange frames with zero force, and wait for the first sample.
 
         Raises
         ------
@@ -145,7 +147,7 @@ class HaplyAdapter(HardwareAdapter):
         return sample
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Set the force that is sent every millisecond, for `HOLD_S` after the last call."""
+        """Set the force that is sent every millisecond, until `HOLD_S` after the last call."""
         x, y, z = force_N.tolist()
         self._session.play((x, y, z))
 
@@ -159,7 +161,7 @@ class HaplyAdapter(HardwareAdapter):
 
 
 class _Session:
-    """Session with the service, and the thread that exchanges frames.
+    """Session with the Inverse Service, with the thread that exchanges frames.
 
     Parameters
     ----------
@@ -173,7 +175,7 @@ class _Session:
     state
         State of the devices, as reported by the service.
     version
-        Major and minor version of the service; None if the service does not report them.
+        Major and minor version of the service; None if the service does not report its version.
     events
         Events so far, as sentences.
     releases
@@ -202,7 +204,7 @@ class _Session:
         self._sending = threading.Lock()  # no frame may follow the zero force at the end
 
     def start(self) -> None:
-        """Start the thread, without force, and wait for the first sample.
+        """Start the thread with zero force, and wait for the first sample.
 
         Raises
         ------
@@ -341,7 +343,7 @@ class _Session:
         self._disconnect()
 
     def _exchange(self) -> None:
-        """Exchange frames one by one."""
+        """Exchange frames one by one until the session ends or the connection fails."""
         self._asked_s = perf_counter()
         self._open_socket.send(opening_frame(self.state.device_id, self._spelling))
         while not self._ended.is_set():
@@ -362,7 +364,7 @@ class _Session:
             self._open_socket.send(force_frame(self.state.device_id, sent, self._spelling))
 
     def _receive(self, seconds: float) -> bool:
-        """Receive the answer and all later frames; return True if the answer came in time."""
+        """Receive the answer and all later frames; return True if the answer arrived in time."""
         link = self._open_socket
         answered = False
         with suppress(TimeoutError):
@@ -400,7 +402,7 @@ class _Session:
         self.events.append(why)
 
     def _await_answers(self) -> None:
-        """Remove the force and wait for late answers; they are not used as samples."""
+        """Remove the force and wait for late answers, which are not used as samples."""
         self._release(
             f"the service did not answer within {1e3 * ANSWER_S:g} ms: the force is taken off"
         )
@@ -442,7 +444,7 @@ class _Session:
         return self._socket
 
     def _disconnect(self, *, cut: bool = False) -> None:
-        """Close the connection; abort it first if the service no longer reads."""
+        """Close the connection; abort the connection first if the service no longer reads."""
         stack = self._stack
         link = self._socket
         self._stack = ExitStack()

@@ -1,4 +1,4 @@
-"""Frames of Haply's Inverse Service: merging of received frames, and frames to send.
+"""Frames (messages) that are exchanged with Haply's Inverse Service.
 
 The sources are the vendor's pages websocket-protocol, control-commands, json-conventions and http
 of the Inverse SDK 3.5. Units are m, m/s and N in a right-handed frame with x to the right, y
@@ -21,52 +21,66 @@ from tissue.motion.quaternion import NOTHING, UPRIGHT, Triple
 from tissue.system.stopping import returned_within
 
 GRIPS = ("wireless_verse_grip", "verse_grip", "custom_verse_grip")
-"""Kinds of handles with orientation and buttons, in search order."""
+"""Names of the kinds of handles with orientation and buttons, in search order."""
 VECTOR_SINCE = (3, 5)
-"""First service version in which the key of a force is ``vector``; earlier it is ``values``."""
+"""First service version in which the key of a force is ``vector``.
+
+In earlier versions, the key is ``values``.
+"""
 MOST = 1e6
-"""Bound on valid numbers; positions, velocities and quaternions in SI units are far smaller."""
+"""Bound on valid numbers in a frame.
+
+Positions, velocities and quaternions in SI units are far smaller.
+"""
 PROFILE = "tissue:simulation"
-"""Name of the session in the window of the vendor's software."""
+"""Name of this program's session in the window of the vendor's software."""
 
 USUAL = "ws://localhost:10001"
 ANSWER_S = 0.5
 STATED_S = 2.0
 """Longest total wait for the service's version [s]; `ANSWER_S` is the limit for each answer."""
 LONGEST = 65_536
-"""Largest number of bytes read for the version, because another program may use the port."""
+"""Largest number of bytes read for the version of the service.
+
+Without a limit, another program on the port could send endless data.
+"""
 MEMORY_S = 0.024
 LONGEST_S = 0.005
 """Largest weight of one state in the share of contradictions, see `StateOrder` [s].
 
 The weight of a state is the time since the previous state. `MEMORY_S` is the averaging time of the
-share. With this averaging time, a velocity may lag behind a blow by 6 ms without being treated as a
-wrong order.
+share. With this averaging time, the velocity may lag behind the position by 6 ms after a blow
+without being treated as a wrong order.
 """
 WRONG = 0.25
 RIGHT = 0.05
-"""Share of contradictions below which the order is right again; above `WRONG`, it is wrong."""
+"""Share of contradictions (see `StateOrder`) below which the order counts as right again.
+
+Above `WRONG`, the order counts as wrong.
+"""
 LEAST_M = 2e-4
 LEAST_M_S = 0.05
-"""Smallest speed that is checked [m/s]; `LEAST_M` is the smallest step [m].
+"""Smallest speed at which the order of states is checked [m/s].
+
+`LEAST_M` is the smallest distance between two positions [m].
 
 For smaller values, a wrong order of states has no perceptible effect.
 """
 AGAINST = -0.5
-"""Cosine of the angle between step and velocity below which they contradict each other.
+"""Cosine of the angle between displacement and velocity below which they contradict.
 
-On a curved path, step and velocity differ. An angle of more than 120 degrees requires a step
-backwards.
+On a curved path, the displacement between two states and the velocity have different directions. An
+angle of more than 120 degrees means that the device moved backwards.
 """
 
 
 class ServiceState:
-    """State of the devices of a service: the first frame, updated with later frames.
+    """State of all devices of the service: the first frame, updated with later frames.
 
     Attributes
     ----------
     device_id
-        Id of the used device: the first device that was listed, or the requested device.
+        Id of the used device, which is the requested device or the first listed device.
     """
 
     def __init__(self, device_id: str = "") -> None:
@@ -74,7 +88,7 @@ class ServiceState:
         self._known: dict[str, dict[str, dict[str, Any]]] = {}
 
     def take(self, text: str | bytes) -> bool:
-        """Merge a frame into the state; return True if it contains a new state of the device.
+        """Merge a frame into the state; return True if the frame has a new state of the device.
 
         Invalid JSON, or a frame of another structure, is ignored.
         """
@@ -102,7 +116,7 @@ class ServiceState:
 
     @property
     def device(self) -> dict[str, Any]:
-        """All entries of the device; empty if it is not listed."""
+        """All entries of the device; empty if the device is not listed."""
         return self._known.get("inverse3", {}).get(self.device_id, {})
 
     def status(self, name: str) -> object:
@@ -140,8 +154,8 @@ class ServiceState:
 def spelling_of(version: tuple[int, int] | None, *, has_session: bool) -> str:
     """Return the key of the force in a command, ``vector`` or ``values``.
 
-    The key depends on the version. If the version is unknown, it depends on the presence of a
-    session.
+    The key depends on the version of the service. If the version is unknown, the key depends on
+    whether the service has reported a session.
     """
     is_new = has_session if version is None else version >= VECTOR_SINCE
     return "vector" if is_new else "values"
@@ -165,7 +179,7 @@ def version_in(text: str | bytes) -> tuple[int, int] | None:
 def force_frame(device_id: str, force_N: Triple, spelling: str) -> str:
     """Return the command for a force in the device's frame.
 
-    The service removes a force that is not sent again.
+    The service removes a force that is not sent repeatedly.
     """
     x, y, z = force_N
     vector = f'{{"x":{x:.6f},"y":{y:.6f},"z":{z:.6f}}}'
@@ -195,7 +209,7 @@ def service_address(address: str) -> tuple[str, str, int, str]:
 
 
 def problem_of(state: ServiceState) -> str:
-    """Return the reason why the device cannot be used; an empty text if it can be used."""
+    """Return the reason why the device cannot be used; empty if it can be used."""
     name = state.device_id
     ids = state.device_ids
     if not ids:
@@ -226,7 +240,7 @@ def problem_of(state: ServiceState) -> str:
 
 
 def asked_version(host: str, port: int) -> tuple[int, int] | None:
-    """Return the service's version by HTTP on the same port; None without a timely answer."""
+    """Request the service's version by HTTP on the same port; None without a timely answer."""
     found: list[tuple[int, int]] = []
 
     def ask() -> None:
@@ -249,7 +263,7 @@ def asked_version(host: str, port: int) -> tuple[int, int] | None:
 
 
 def _listed(group: object) -> list[dict[str, Any]]:
-    """Return the entries of a group that have the structure of a device."""
+    """Return the entries of a list that have the structure of a device."""
     devices = group if isinstance(group, list) else []
     return [
         each
@@ -268,7 +282,7 @@ def _merge(known: dict[str, Any], news: Mapping[str, Any]) -> None:
 
 
 def _part(whole: object, name: str) -> dict[str, Any]:
-    """Return a table inside a table; empty if it is missing."""
+    """Return the table with a given name inside a table; empty if it is missing."""
     part = whole.get(name) if isinstance(whole, Mapping) else None
     return part if isinstance(part, dict) else {}
 
@@ -286,7 +300,7 @@ def _numbers(table: object, names: str) -> tuple[float, ...]:
 
 
 def _buttons(state: Mapping[str, Any]) -> int:
-    """Return a bit mask of the buttons, with bit i for the i-th button in order of names.
+    """Return a bit mask of the pressed buttons, with bit i for the i-th button by name.
 
     A single button of a handle has the name ``button``.
     """
@@ -300,9 +314,9 @@ def _buttons(state: Mapping[str, Any]) -> int:
 class StateOrder:
     """Check that states arrive in order, based on their positions and velocities.
 
-    If a state is older than the state that arrived before it, the step between the two positions is
-    opposite to the velocities. If states arrive in a random order, this contradiction occurs for
-    about half of them. The averaged share of contradictions then reaches a quarter, the limit,
+    If a state is older than the state that arrived before it, the displacement between the two
+    states is opposite to the velocity. If states arrive in a random order, about half of them have
+    this contradiction. The averaged share of contradictions then exceeds the limit of a quarter
     within 17 ms.
 
     Attributes

@@ -1,4 +1,4 @@
-"""Real device in the frame of the scene, with limits, ramps and removal of the force."""
+"""Real haptic device in the frame of the scene, with limits and ramps of the force."""
 
 from collections.abc import Callable
 from math import isfinite, radians, sqrt
@@ -26,13 +26,13 @@ from tissue.scene.coupling import Hardware
 
 
 class Workspace:
-    """Mapping of device poses into the scene, and of forces back into the device axes.
+    """Mapping of device poses to poses in the scene, and of forces to the axes of the device.
 
-    A position x is mapped to ``R x + d``. The rotation R is constant, and d places the first pose
-    at the start of the tool. While the clutch button is held, the pose in the scene is constant.
-    When the button is released, d and the reference orientation are updated, so that the pose
-    continues without a jump. Because R is a rotation, the power (force times velocity) is equal in
-    the two frames.
+    A position x of the device is mapped to ``R x + d`` in the scene. The rotation R is constant,
+    and d is chosen so that the first pose is at the start of the tool. While the clutch button is
+    held, the pose in the scene does not change. When the button is released, d and the reference
+    orientation are updated, so that the pose does not jump. Because R is a rotation, the power
+    (force times velocity) is equal in both frames.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Workspace:
     Attributes
     ----------
     is_placed
-        True after the first pose.
+        True after the first pose has been mapped.
     """
 
     def __init__(self, turn_deg: Triple, start_m: Triple) -> None:
@@ -60,7 +60,7 @@ class Workspace:
         self.forget()
 
     def forget(self) -> None:
-        """Treat the next pose as the first pose."""
+        """Map the next pose to the start of the tool, like the first pose."""
         self.is_placed = False
         self._clutched = False
         self._shift: Triple = NOTHING
@@ -111,34 +111,37 @@ class Workspace:
     def _in_world(self, quaternion: Quaternion) -> Quaternion:
         """Convert an orientation from the device's axes to the world's axes.
 
-        A quaternion that is far from unit length keeps its length, so that the sample guard of the
-        loop rejects it.
+        The length of a quaternion that is far from 1 is kept, so that the `SampleGuard` of the loop
+        rejects the quaternion.
         """
         length_one = (unit(quaternion) if is_nearly_unit(quaternion) else None) or quaternion
         return product(product(self._turn, length_one), conjugate(self._turn))
 
 
 MOST_EVENTS = 100
-"""Largest number of stored events; an unstable connection would otherwise fill memory."""
+"""Largest number of stored events.
+
+Without a limit, an unstable connection could fill the memory.
+"""
 
 
 class MappedDevice:
-    """Real device as used in a run: adapter, workspace in the scene, and safety functions.
+    """Real device in the frame of the scene, with safety functions.
 
-    The first sample is placed at the start of the tool. The run applies the scale
-    ``coupling.motion_scale``; it is not applied here. Without a new sample, the last sample is
-    repeated until the watchdog time has passed. After that, there is no sample, and the force is
-    zero at once.
+    The first sample is mapped to the start of the tool. The scale ``coupling.motion_scale`` is not
+    applied here, because the run applies it. Without a new sample, the last sample is repeated
+    until the watchdog time has passed. After this time, `read` returns None, and the force is set
+    to zero at once.
 
-    The played force is the commanded force, limited to a largest magnitude, times a share. The
-    share increases linearly from 0 to 1 during a ramp. A ramp begins at the start, after a lost
-    connection, and when the clutch or the force button changes. The share is 0 while no force may
-    be played, for example while the clutch is held.
+    The force on the hand is the commanded force, limited to a largest magnitude and multiplied by a
+    factor, `share`. During a ramp, the factor increases linearly from 0 to 1. A ramp begins at the
+    start, after a lost connection, and when the clutch button or the force button changes. The
+    factor is 0 while no force is allowed, for example while the clutch button is held.
 
     Parameters
     ----------
     adapter
-        Device in its own frame. A ramp begins after each of its ``releases``.
+        Adapter of the device. A ramp begins each time the adapter has removed the force by itself.
     hardware
         Settings: placement of the workspace in the scene, and limits.
     start_m
@@ -153,16 +156,16 @@ class MappedDevice:
     played
         Force [N] and torque [N m] on the hand since the last command, in the world frame.
     share
-        Share of the commanded force that is played.
+        Factor, 0 to 1, by which the commanded force is currently multiplied.
     """
 
     in_process = False
     real_time = True
-    """True, because a run with the device must follow real time."""
+    """True, because the ticks of a run with a real device must start in real time."""
     bounds_itself = True
     """True, because `read` itself checks the reach of the device.
 
-    Positions in the scene may go beyond this reach, because the clutch shifts the workspace.
+    Positions in the scene may lie beyond this reach, because the clutch shifts the workspace.
     """
 
     def __init__(
@@ -215,7 +218,7 @@ class MappedDevice:
     def read(self, time_s: float) -> Sample | None:
         """Return the newest sample in the world frame, constant while the clutch is held.
 
-        The result is None after the watchdog time.
+        If there was no new sample for the watchdog time, the result is None.
 
         Raises
         ------
@@ -264,7 +267,7 @@ class MappedDevice:
         return Sample(time_s, position, velocity, quaternion, spin)
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
-        """Play the limited force, and the torque, times `share`; both are in the world frame."""
+        """Apply the limited force and the torque (world frame), multiplied by `share`."""
         size = sqrt(force_N.dot(force_N))
         share = self.share * (self._cap / size if size > self._cap else 1.0)
         self.played = share * force_N, self.share * torque_Nm
@@ -278,7 +281,7 @@ class MappedDevice:
         return self._events
 
     def _begin(self, time_s: float) -> None:
-        """Start a run: place the next sample at the tool's start, and begin a ramp."""
+        """Start a run: map the next sample to the start of the tool, and begin a ramp."""
         self.share = 0.0
         self._time = time_s
         self._space.forget()

@@ -1,4 +1,4 @@
-"""Adapter for a user's device over UDP or a WebSocket.
+"""Adapter for a user's own device that is connected by UDP or by a WebSocket.
 
 The packets are defined in `tissue.haptics.real.network_session`.
 """
@@ -26,46 +26,52 @@ if TYPE_CHECKING:
     from tissue.scene.coupling import Hardware
 
 USUAL = "udp://127.0.0.1:24930"
-"""Default address on which the program listens for a device."""
+"""Default address on which this program listens for a device."""
 MOST_READS = 256
 """Largest number of packets read per poll.
 
-At 1 kHz, so many packets arrive in a quarter of a second. Reading these packets takes about 2 ms.
+At 1 kHz, 256 packets arrive in a quarter of a second. Reading them takes about 2 ms.
 """
 LONGEST_PACKET = 1024
-"""Number of bytes read of a datagram.
+"""Largest number of bytes read from a datagram.
 
-A longer datagram is truncated, and rejected because of its length. A pose has 140 bytes.
+A longer datagram is truncated and then rejected because of its length. A packet with a pose has 140
+bytes.
 """
 LOOK_S = 0.6
-"""Longest time that a search waits for a device [s]; a device sends hello every 0.1 s."""
-LONGEST_MESSAGE = 4096
-"""Size of the largest accepted message of a WebSocket [bytes]; a pose has 140 bytes."""
-CLOSE_S = 0.2
-"""Longest time of each step of a close [s].
+"""Longest time for which a search waits for a device [s].
 
-There are two steps: the device receives its last packets, and it ends its connection. After 1 s, a
-run gives up a device that does not close.
+A device sends a hello packet every 0.1 s.
+"""
+LONGEST_MESSAGE = 4096
+"""Size of the largest accepted WebSocket message [bytes]; a message with a pose has 140 bytes."""
+CLOSE_S = 0.2
+"""Longest time of each of the two steps in which a connection is closed [s].
+
+In the first step, the device receives its last packets. In the second step, it ends its connection.
+A run gives up a device that is not closed after 1 s.
 """
 SEND_S = 0.25
-"""Longest time in which a device may receive no packets before its connection is ended [s].
+"""Longest time for sending a packet to a device before its connection is ended [s].
 
-The value is half of the silence after which the session gives up the device.
+The value is half of `SILENCE_S`, after which the session gives up a silent device.
 """
 HANDSHAKE_S = 2.0
-"""Longest time for a connection to become a WebSocket [s].
+"""Longest time for a new connection to complete the WebSocket handshake [s].
 
-Without this limit, a program that only connects could keep a connection without any limit of time.
+Without this limit, a program that only connects could keep its connection forever.
 """
 MOST_WAITING = 2
-"""Largest number of packets that wait for the thread; a new wrench replaces the oldest one.
+"""Largest number of packets that wait for the sending thread.
 
-With two places, zero force and goodbye can wait at the same time.
+A new wrench replaces the oldest waiting packet.
+
+With two packets, zero force and the goodbye can wait at the same time.
 """
 
 
 class UdpTransport:
-    """Transport of packets as UDP datagrams. They are read when `read` is called.
+    """Transport of packets as UDP datagrams, which are received when `read` is called.
 
     Parameters
     ----------
@@ -120,9 +126,9 @@ class UdpTransport:
         select.select([self._socket], [], [], seconds)
 
     def send(self, peer: Hashable, data: bytes) -> None:
-        """Send a packet; drop it if the operating system does not accept it at once.
+        """Send a packet; drop the packet if the operating system does not accept it at once.
 
-        Without packets, the force of the device fades to zero.
+        A device that receives no packets reduces its force to zero.
         """
         with suppress(OSError):
             self._socket.sendto(data, peer)  # type: ignore[call-overload]
@@ -136,9 +142,8 @@ class UdpTransport:
 class WebTransport:
     """Transport of packets as WebSocket messages.
 
-    The newest wrenches are sent; older wrenches that still wait are dropped. Connections with the
-    header ``Origin``, which every browser sends, are refused, because a web page must not move a
-    tool.
+    If several wrenches wait to be sent, only the newest are sent. A connection with the header
+    ``Origin``, which every browser sends, is refused, because a web page must not move a tool.
 
     Parameters
     ----------
@@ -201,7 +206,7 @@ class WebTransport:
         self._came.clear()
 
     def send(self, peer: Hashable, data: bytes) -> None:
-        """Queue a packet for the sending thread; it may replace an older packet that waits."""
+        """Queue a packet for the sending thread; the packet may replace an older waiting packet."""
         self._waiting.append((peer, data))
         self._news.set()
         # a device that no longer reads blocks the sending thread
@@ -266,13 +271,13 @@ class NetworkAdapter(HardwareAdapter):
     Parameters
     ----------
     hardware
-        Settings of the device. Their ``address`` is ``udp://HOST:PORT`` or ``ws://HOST:PORT``, on
-        which this program listens; empty for `USUAL`.
+        Settings of the device. The setting ``address`` is the address on which this program
+        listens, ``udp://HOST:PORT`` or ``ws://HOST:PORT``. If it is empty, `USUAL` is used.
 
     Attributes
     ----------
     session
-        Session with the connected device. It counts dropped packets by reason.
+        Session with the connected device, which also counts dropped packets.
 
     Raises
     ------
@@ -327,7 +332,7 @@ class NetworkAdapter(HardwareAdapter):
 
     @property
     def round_trip_s(self) -> float:
-        """Time from a wrench to the first packet that confirms it [s]; nan before this packet."""
+        """Time from sending a wrench to the first packet that confirms it [s]; nan before."""
         return self.session.round_trip_s
 
     def happened(self) -> list[str]:
@@ -370,13 +375,13 @@ class NetworkAdapter(HardwareAdapter):
             self._transport.wait(seconds)
 
     def refuse(self, sentence: str) -> None:
-        """Refuse the device with a sentence, so that another device may connect."""
+        """Refuse the connected device with a sentence, so that another device may connect."""
         sending = self.session.refused(sentence)
         if self._transport is not None and sending is not None:
             self._transport.send(*sending)
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Send a force and a torque; the device plays them until the next packet or for 50 ms."""
+        """Send a force and a torque, which are applied until the next packet or for 50 ms."""
         transport = self._transport
         sending = self.session.wrench((*force_N.tolist(), *torque_Nm.tolist()))
         # after a close, the packet would have an old number

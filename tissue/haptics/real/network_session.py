@@ -1,4 +1,4 @@
-"""Session with one network device: identity, new samples, and number of dropped packets."""
+"""Session with one network device, with the packets of the protocol and their checks."""
 
 import struct
 import threading
@@ -25,7 +25,7 @@ WRENCH = struct.Struct("<6d")
 """Force [N] and torque [N m]."""
 HALF = 1 << 31
 WHOLE = 1 << 32
-"""Number of different sequence numbers; `HALF` is half of this number.
+"""Number of different sequence numbers of packets; `HALF` is half of this number.
 
 Sequence numbers restart after 2^32 packets. A sequence number is newer than another number if it is
 ahead by less than `HALF`.
@@ -36,46 +36,47 @@ class Kind(IntEnum):
     """Kind of a packet."""
 
     HELLO = 1
-    """Request of a device to be used, or confirmation that it is accepted."""
+    """Request of a device to connect, or confirmation that the device is accepted."""
     POSE = 2
     """Pose of the device."""
     WRENCH = 3
-    """Force and torque to play."""
+    """Force and torque that the device must apply."""
     HEARTBEAT = 4
-    """Sign that the sender is active, although it has nothing else to send."""
+    """Packet of a sender that is active but has nothing else to send."""
     BYE = 5
-    """Sign that the sender ends the session."""
+    """Packet with which the sender ends the session."""
     REFUSED = 6
     """Refusal of the device, with a sentence."""
 
 
 LENGTHS = {Kind.HELLO: 0, Kind.POSE: POSE.size, Kind.HEARTBEAT: 0, Kind.BYE: 0}
-"""Number of bytes of the payload, for each kind of packet that a device sends."""
+"""Payload size in bytes, for each kind of packet that a device may send."""
 Wrench = tuple[float, float, float, float, float, float]
 """Force [N] and torque [N m] on the hand, in the device's frame."""
 NO_WRENCH: Wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class PacketError(Exception):
-    """Error of an unusable packet. Its text is the name under which the packet is counted."""
+    """Error for an unusable packet, with the name under which the packet is counted as text."""
 
 
 class Packet(NamedTuple):
-    """Packet of a device.
+    """Packet received from a device.
 
     Attributes
     ----------
     kind
         Kind of the packet.
     sequence
-        Sequence number of the packet among the packets of its sender. The first is 1, and 0 follows
-        4294967295.
+        Number of the packet in the sequence of packets from the same sender. The first number is 1.
+        After 4294967295, the next number is 0.
     echo
-        Sequence number of the newest packet that the sender has received; 0 before the first.
+        Sequence number of the newest packet that the sender has received; 0 if it has received
+        none.
     time_s
-        Time on the clock of the sender, with any start [s].
+        Time on the clock of the sender [s]; the zero of the clock is arbitrary.
     sample
-        Sample of a pose; None for other packets.
+        Sample in a packet with a pose; None for other kinds of packets.
     """
 
     kind: Kind
@@ -97,8 +98,8 @@ def unpacked(data: bytes) -> Packet:
     Raises
     ------
     PacketError
-        If the packet is not valid. The text is the name under which the packet is counted:
-        ``foreign``, ``version``, ``length``, ``checksum``, ``kind`` or ``number``.
+        If the packet is not valid. The text of the error is one of these names: ``foreign``,
+        ``version``, ``length``, ``checksum``, ``kind`` or ``number``.
     """
     if data[:4] != MAGIC:
         raise PacketError("foreign")
@@ -128,24 +129,26 @@ def unpacked(data: bytes) -> Packet:
 
 
 def is_newer(sequence: int, before: int) -> bool:
-    """Return True if a sequence number is newer than another, including a restart from 0."""
+    """Return True if a sequence number is newer than another; numbers restart from 0."""
     return 0 < (sequence - before) % WHOLE < HALF
 
 
 SILENCE_S = 0.5
-"""Silence after which a device is given up and another device may connect [s].
+"""Time without packets after which a device is given up and another device may connect [s].
 
-A device sends at least five packets a second, so after this time two packets in a row are
+A device sends at least five packets per second. After this time, at least two packets in a row are
 missing.
 """
 KEPT = 1024
-"""Number of wrenches whose send time is stored to measure round trips, about a second at 1 kHz.
+"""Number of wrenches whose send time is stored, to measure round trips.
 
-The value is a power of two, so that the storage places stay consecutive when the sequence numbers
-restart.
+At 1 kHz, the wrenches of about one second are stored.
+
+The value is a power of two, so that the index in the storage stays consecutive when sequence
+numbers restart.
 """
 MOST_WORDS = 400
-"""Largest length of the sentence of a refusal [bytes]."""
+"""Largest length of the sentence in a packet that refuses a device [bytes]."""
 BUSY = (
     "one device must be used at a time, got a second one. End the first device, or "
     "wait half a second after it has stopped"
@@ -153,29 +156,29 @@ BUSY = (
 
 
 class NetworkSession:
-    """Session with one device. It processes received packets and builds packets to send.
+    """Session with one device, which processes received packets and builds packets to send.
 
-    The session never waits, and does not read a socket. The first device that sends a hello is
-    accepted. Other devices are refused until the first device has ended or was silent for
+    The session never waits, and does not use a socket itself. The first device that sends a hello
+    is accepted. Other devices are refused until this device has ended the session or was silent for
     `SILENCE_S`. A pose that is late, repeated, damaged or not finite is dropped and counted.
 
     Parameters
     ----------
     clock
-        Function that returns the time, with any start [s].
+        Function that returns the time [s]; the zero of the time is arbitrary.
 
     Attributes
     ----------
     peer
         Address of the accepted device; None without a device.
     counts
-        Number of packets by outcome. Received packets are ``poses``, ``heartbeats`` and ``hellos``.
-        Packets lost in the network are ``lost``. Dropped packets are ``foreign``, ``version``,
-        ``length``, ``checksum``, ``kind``, ``number``, ``late``, ``repeated``, ``stranger`` or
-        ``refused``. ``silences`` counts devices that were given up.
+        Numbers of packets, keyed by outcome. Received packets are ``poses``, ``heartbeats`` and
+        ``hellos``. Packets lost in the network are ``lost``. Dropped packets are ``foreign``,
+        ``version``, ``length``, ``checksum``, ``kind``, ``number``, ``late``, ``repeated``,
+        ``stranger`` or ``refused``. ``silences`` counts devices that were given up.
     round_trip_s
-        Time from the newest wrench that the device has confirmed to the first packet with this
-        confirmation [s]; nan before.
+        Time from sending a wrench to the first packet with which the device confirms it, for the
+        newest confirmed wrench [s]; nan before the first confirmation.
     """
 
     def __init__(self, clock: Callable[[], float] = perf_counter) -> None:
@@ -194,7 +197,7 @@ class NetworkSession:
         self._greeting = (0, nan)
 
     def receive(self, data: bytes, sender: Hashable) -> bytes | None:
-        """Process a packet, and return the reply to its sender; None without a reply."""
+        """Process a packet, and return the reply to the sender; None without a reply."""
         with self._lock:
             try:
                 return self._receive(unpacked(data), sender)
@@ -286,7 +289,7 @@ class NetworkSession:
         return packed(kind, self._sent, echo=self._seen, time_s=now, payload=payload)
 
     def _measure(self, echo: int) -> None:
-        """Record the round trip if a packet is the first that confirms a sent wrench."""
+        """Record the round trip time if a packet is the first to confirm a wrench."""
         # Send times of older packets have been overwritten.
         if is_newer(echo, self._shown) and 0 <= (self._sent - echo) % WHOLE < KEPT:
             self._shown = echo

@@ -1,15 +1,15 @@
-"""Adapter for 3D Systems' Touch devices with pyOpenHaptics.
+"""Adapter for the Touch devices of 3D Systems, which uses the package pyOpenHaptics.
 
-The package loads the vendor's OpenHaptics at run time. The following is from pyOpenHaptics 1.0.1. A
-transform is in mm, with the axes of the handle in its first three rows and the position in the
-fourth row. x points right, y up, z to the hand. The library calls a scheduled function in its own
-thread, a thousand times a second. The device may be read or driven only inside this function. The
-thread of the library and the thread of the loop share a few attributes, and each attribute is
-replaced as a whole. The class HapticDevice of the package does not report a missing device.
-Therefore the functions of the package are called directly.
+The package loads the vendor's library OpenHaptics at run time. The following applies to
+pyOpenHaptics 1.0.1. A pose is a matrix with the axes of the handle in its first three rows and the
+position [mm] in the fourth row. The axis x points to the right, y up, and z towards the user. The
+library calls a scheduled function a thousand times a second in its own thread. Only this function
+may read the device and set its force. The thread of the library and the thread of the loop share a
+few attributes, and each attribute is replaced as a whole. The functions of the package are called
+directly, because its class HapticDevice does not report a missing device.
 
-A process uses one device at a time, because the package begins each frame for the device that was
-opened last.
+A process can use only one device at a time, because the package always addresses the device that
+was opened last.
 """
 
 import threading
@@ -32,20 +32,23 @@ if TYPE_CHECKING:
 USUAL = "Default Device"
 """Default name of a device in the vendor's configuration."""
 NONE = (None, 0x0104, 0xFFFFFFFF)
-"""Values that are returned if there is no device: None, HD_BAD_HANDLE, HD_INVALID_HANDLE."""
-HELD_S = 0.05
-"""Longest time for which a force is played without a new force [s].
+"""Device numbers that mean that no device was opened.
 
-In the network protocol of this package, a device that receives nothing removes its force after the
-same time.
+They are None, HD_BAD_HANDLE and HD_INVALID_HANDLE.
+"""
+HELD_S = 0.05
+"""Longest time for which a force is applied without a new command [s].
+
+In the network protocol of this package, a device that receives no packets removes its force after
+the same time.
 """
 REST_S = 0.05
-"""Longest time for the vendor's thread to play zero force at the end [s]: 50 calls."""
+"""Longest time to wait until the vendor's thread has set zero force at the end [s]: 50 calls."""
 WINDOW = 10
 """Number of calls of the vendor's thread, 10 ms, over which velocities are computed.
 
-An encoder step of a Touch (0.055 mm) then changes the velocity by 5.5 mm/s. Over one call, the step
-would change the velocity by 55 mm/s.
+An encoder step of a Touch (0.055 mm) then changes the velocity by 5.5 mm/s. Computed over one call,
+the change would be 55 mm/s.
 """
 MISSING = (
     "must be installed for a Touch device, got none. Run pip install pyOpenHaptics, "
@@ -61,8 +64,8 @@ class OpenHapticsAdapter(HardwareAdapter):
     Parameters
     ----------
     hardware
-        Settings of the device. Their ``address`` is the name of the device in the vendor's setup;
-        empty for the default device.
+        Settings of the device. The setting ``address`` is the name of the device in the vendor's
+        configuration; it is empty for the default device.
     """
 
     name = "openhaptics"
@@ -82,7 +85,7 @@ class OpenHapticsAdapter(HardwareAdapter):
 
     @classmethod
     def find(cls, address: str = "") -> list[FoundDevice]:
-        """Return the device with a name, or the reason why there is none.
+        """Return the device with the name ``address``, or the reason why there is none.
 
         The device is opened for a moment.
         """
@@ -101,7 +104,7 @@ class OpenHapticsAdapter(HardwareAdapter):
             return cls.missing(error)
 
     def open(self) -> None:
-        """Open the device, and schedule its function in the vendor's thread."""
+        """Open the device, and schedule the function that reads and drives it."""
         hd, scheduling = _library()
         name = self._given or USUAL
         if _OPEN:
@@ -132,14 +135,14 @@ class OpenHapticsAdapter(HardwareAdapter):
         return sample
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Set the force that the vendor's thread plays until the next call, or for `HELD_S`.
+        """Set the force that the device applies until the next call, at most for `HELD_S`.
 
-        Torque is not played, because the device has no motors for rotation.
+        Torque is ignored, because the device has no rotational motors.
         """
         self._force = (force_N.tolist(), perf_counter())
 
     def close(self) -> None:
-        """Play zero once more in the vendor's thread, stop this thread and close the device."""
+        """Set zero force in the vendor's thread, stop this thread, and close the device."""
         if self._ended:
             return
         self._rests.clear()
@@ -155,7 +158,8 @@ class OpenHapticsAdapter(HardwareAdapter):
     def _serve(self) -> None:
         """Read and drive the device, in the vendor's thread.
 
-        An exception is stored for `poll`, because it would end that thread silently.
+        An exception is stored and raised by `poll`, because it would end the vendor's thread
+        silently.
         """
         try:
             hd = self._hd
@@ -208,7 +212,7 @@ def _opened(hd: Any, name: str) -> int:
 
 
 def _library() -> tuple[ModuleType, ModuleType]:
-    """Return the modules of the package for device access and for scheduling."""
+    """Return the two modules of pyOpenHaptics for device access and for scheduling."""
     try:
         from pyOpenHaptics import hd, hd_callback
     except (ImportError, OSError, NameError) as error:

@@ -23,11 +23,17 @@ BUMP_S = 0.3
 The largest force is above the friction of a Touch (0.26 N) and below its continuous force (0.88 N).
 """
 FEWEST = 20
-"""Smallest number of samples for a result; a device at 10 Hz gives 20 samples in 2 s."""
+"""Smallest number of samples for a valid result.
+
+A device at 10 Hz provides 20 samples in the default duration of 2 s.
+"""
 PAUSE_S = 5e-5
-"""Pause between two calls [s]; it is much shorter than a tick, but other threads can run."""
+"""Pause between two reads of the device [s].
+
+The pause is much shorter than a tick, but allows other threads to run.
+"""
 START_S = 5.0
-"""Longest time for the first sample [s]."""
+"""Longest time to wait for the first sample [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +49,7 @@ class SelfTest:
     interval_s, interval_99_s, longest_s
         Time between two samples [s]: median, 99th percentile, longest.
     call_s, call_99_s
-        Duration of a read plus a command [s]: median and 99th percentile.
+        Total duration of a read and a command [s]: median and 99th percentile.
     round_trip_s, round_trip_99_s
         Time from a command to the first sample that confirms it [s]: median and 99th percentile;
         nan if the device does not confirm commands.
@@ -64,8 +70,8 @@ class SelfTest:
     def delay_s(self) -> float:
         """Latency of the device in addition to the zero-order hold [s].
 
-        The latency is the round trip if the round trip is known, otherwise the duration of the
-        calls.
+        The latency is the median round trip time if it is known, otherwise the median duration of a
+        read and a command.
         """
         return self.round_trip_s if isfinite(self.round_trip_s) else self.call_s
 
@@ -90,12 +96,13 @@ def self_test(
     clock: Callable[[], float] = perf_counter,
     pause: Callable[[float], None] = sleep,
 ) -> SelfTest:
-    """Measure an open adapter, without force on the hand.
+    """Measure sample rate and latency of a device, while zero force is commanded.
 
     Parameters
     ----------
     adapter
-        Adapter of the device. If it has ``round_trip_s``, this value is stored with each sample.
+        Adapter of the device, which must be open. If it has the attribute ``round_trip_s``, the
+        value is stored with each sample.
     seconds
         Duration of the measurement, from the first sample [s].
     clock, pause
@@ -164,8 +171,8 @@ def bump(
 ) -> Bump:
     """Push the hand along the device's z axis, with a force that follows half a sine.
 
-    `BUMP_N` is the largest force and `BUMP_S` the duration. However the push ends, the last force
-    is zero.
+    The largest force is `BUMP_N`, and the duration is `BUMP_S`. At every end of the push, also
+    after an error, the last force is zero.
 
     Raises
     ------
@@ -208,25 +215,25 @@ def _middle_and_99(
 
 
 EVERY_TICK = 0.95
-"""Share of ticks with a new sample above which the device's rate is taken as the tick rate.
+"""Share of ticks with a new sample above which the device's rate is set to the tick rate.
 
-On a busy computer, some samples of a device that has one sample in every tick are missed.
+The limit is below 1, because on a busy computer some samples are missed, even for a device with a
+sample in every tick.
 """
 SLOWEST_HZ = 10.0
 LONGEST_S = 0.2
-"""Longest delay that `tissue.haptics.device.device.DeviceParameters` accepts [s].
+"""Largest delay that `tissue.haptics.device.device.DeviceParameters` accepts [s].
 
 `SLOWEST_HZ` is the smallest rate that this class accepts [Hz].
 """
 
 
 def write_measured(path: Path, name: str, test: SelfTest) -> None:
-    """Write rate and latency of a device as constants with ranges.
+    """Write the rate and the latency of a device as constants with ranges to a file.
 
     The rate is the mean rate, or the tick rate if nearly every tick has a new sample. The lower end
-    of the range of the rate is the rate that 99 % of the intervals between samples reach. The
-    latency is the round trip, or the duration of the calls if the device does not report a round
-    trip.
+    of its range corresponds to the 99th percentile of the time between samples. The latency is the
+    round trip, or the duration of the calls if the device does not report a round trip.
     """
     most = 1.0 / TICK_S
     rate = min(max(test.rate_Hz, SLOWEST_HZ), most)

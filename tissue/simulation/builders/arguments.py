@@ -1,4 +1,4 @@
-"""Validation of a caller's arguments and files of constants, by the rules for keys of a scene."""
+"""Validation of arguments and of files of constants, with the rules for the keys of a scene."""
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -33,12 +33,12 @@ Table = TypeVar("Table", bound=Part)
 LAYERS = (*GLENOID_LAYERS, *VERTEBRA_LAYERS, *TOOTH_LAYERS)
 """Layers of the built-in anatomies.
 
-A file of constants may name any of these layers, even layers that the scene does not have.
+A file of material constants may name any of these layers, even layers that the scene does not have.
 """
 
 
 def require_known(options: Mapping[str, object], table: type, *, of: str) -> None:
-    """Refuse an unknown option with a `TypeError`, as Python does for an unknown argument."""
+    """Raise a `TypeError` for an unknown option, as Python does for an unknown argument."""
     known = table.__annotations__
     for name in options:
         if name not in known:
@@ -51,7 +51,7 @@ def require_known(options: Mapping[str, object], table: type, *, of: str) -> Non
 def stated(model: type[Table], values: Mapping[str, object], *, prefix: str = "") -> Table:
     """Return a scene table made from a caller's arguments; None values are left out.
 
-    In error messages, `prefix` is put before the name of an argument.
+    Error messages show `prefix` before the name of an argument.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def given_note(
 ) -> dict[str, str]:
     """Return the note ``materials``, which lists the given constants that are used.
 
-    The constants are used by a scene or another object, which `by` names in the note.
+    `by` is the name of the scene or other object that uses the constants, as shown in the note.
 
     There is no note if no constants were given. In this case, all constants have their built-in
     values.
@@ -80,7 +80,8 @@ def given_note(
     Raises
     ------
     InputError
-        If no constant has an effect, a constant is also given in the scene, or a layer is unknown.
+        If none of the given constants has an effect, a constant is also given in the scene, or a
+        layer is unknown.
     """
     if not given.given:
         return {}
@@ -123,12 +124,13 @@ def given_note(
 def require_files(scene: Scene) -> None:
     """Check the files of a scene before its tissue is built.
 
-    The layers are not known yet. A cutting constant of any layer is therefore accepted.
+    The layers of the tissue are not known before it is built. Cutting constants of any layer are
+    therefore accepted.
 
     Raises
     ------
     InputError
-        If a file does not exist, or the file of constants cannot be used.
+        If a file does not exist, or the file of material constants cannot be used.
     """
     for key, value in entries(scene.model_dump(exclude_none=True)):
         if names_file(key) and value and not Path(str(value)).exists():
@@ -142,7 +144,7 @@ def require_files(scene: Scene) -> None:
 
 
 def _require_some(given: Materials, used: Sequence[Used], *, by: str) -> None:
-    """Check that a file contains a constant that is used; the error lists the used constants."""
+    """Raise an error, which lists the used constants, if none of the given constants is used."""
     if given.given.keys().isdisjoint(one.full for one in used):
         names = [one.full for one in used if one.stated is None]
         raise InputError(
@@ -158,8 +160,8 @@ def surface_of(
 ) -> Surface:
     """Return a closed surface from a file, a pyvista or trimesh surface, or vertices and triangles.
 
-    With `is_part` all pieces of the surface are kept, and the surface may be open at the edge of a
-    scan.
+    If `is_part` is True, all separate pieces of the surface are kept, and the surface may be open
+    at the edge of a scan.
 
     Raises
     ------

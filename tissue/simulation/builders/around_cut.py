@@ -33,7 +33,7 @@ temperature rise at 0.5 mm from the wall of the hole is 4.78, 3.42 and 3.33 K fo
 across the diameter.
 """
 HEAT_CELL = 0.25
-"""Ratio of the edge of temperature cells to the edge of stress cells, within the reach of the bur.
+"""Edge of temperature cells divided by the edge of stress cells, within the reach of the bur.
 
 By default the temperature cells have an edge of 0.125 mm. The temperature rise of the pulp in the
 molar scene is 0.614, 0.731 and 0.749 K with cells of 0.25, 0.125 and 0.083 mm.
@@ -43,9 +43,7 @@ molar scene is 0.614, 0.731 and 0.749 K with cells of 0.25, 0.125 and 0.083 mm.
 def tooth_around(
     scene: Scene, milling: BoneModel, motion: Motion, *, compute: str, report: Progress
 ) -> TissueModel:
-    """Return the tooth around the milled voxels, with stress and heat if the scene requests
-    them.
-    """
+    """Return the tooth around the milled voxels, with the requested stress and heat."""
     anatomy = scene.anatomy
     if not isinstance(anatomy, Tooth) or not (scene.stress or scene.heat):
         return ToothModel(milling, device=compute)
@@ -96,7 +94,7 @@ def _whole_tooth(scene: Scene, *, spacing_m: float, report: Progress) -> VoxelVo
 def heated_bone(
     scene: Scene, milling: BoneModel, motion: Motion, *, compute: str, report: Progress
 ) -> HeatedBone:
-    """Return milled bone whose temperature is computed."""
+    """Return a model of milled bone that also computes the temperature of the bone."""
     report("building the grid of the temperature", 0.0)
     cutter = milling.cutter
     share = 2e3 * cutter.profile.radius_m / CELLS

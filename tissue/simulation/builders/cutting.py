@@ -1,4 +1,4 @@
-"""Build the voxels of bone or tooth for a cutter, at the start or near the moving tool."""
+"""Build the voxels of bone or tooth for a cutter, all before the run or only near the tool."""
 
 from collections.abc import Callable, Iterator
 from math import pi, radians
@@ -47,7 +47,9 @@ SI = {"mm": ("m", 1e-3), "deg": ("rad", radians(1.0))}
 Pose = tuple[Array, Array]
 """Tip [m], shape (3,), and rotation from tool to world, shape (3, 3)."""
 STRIDE_M = 1e-3
-"""Largest distance between two poses around which bone is prepared [m], chosen by judgement.
+"""Largest distance between two tool poses around which voxels of bone are made [m].
+
+The value was chosen by judgement.
 
 Poses are inserted between two given poses that are farther apart.
 """
@@ -56,9 +58,9 @@ SAME = 1e-9
 SCATTER = 0.7
 """Largest relative error of the force of N cutting elements, multiplied by N ** 0.75.
 
-A comparison with numerical quadrature gave 0.57. It covers ball cutters of 3 to 8 mm diameter in
-slots 0.1 to 0.3 mm deep, upright and tilted by up to 60 degrees. The value 0.7 contains a margin:
-if an error of 1 % is requested, the measured error is 0.9 %.
+A comparison with numerical quadrature gave 0.57. The comparison covers ball cutters of 3 to 8 mm
+diameter in slots of 0.1 to 0.3 mm depth, with tilts of 0 to 60 degrees. The value 0.7 contains a
+margin: if an error of at most 1 % is requested, the measured error is 0.9 %.
 """
 MARGIN_VOXELS = 4
 """Margin around a tool within which carving and force computation read voxels [voxels]."""
@@ -159,7 +161,10 @@ def milled(
 
 
 def milled_voxels(scene: Scene) -> VoxelVolume:
-    """Return the voxels of a milling scene before the first cut; raise the errors of `milled`."""
+    """Return the voxels of a milling scene before the first cut.
+
+    The function raises the same errors as `milled`.
+    """
     assert isinstance(scene.tool, Tool)
     return volume_of(scene, cutter_of(scene.tool), motion_of(scene), notes={}, report=silent)
 
@@ -181,7 +186,7 @@ def cutter_of(tool: Tool) -> Cutter:
 
 
 def _require_chips(scene: Scene, cutter: Cutter) -> None:
-    """Refuse a feed at which the chip of a tooth would be thicker than the radius of the tool."""
+    """Raise an error if the feed makes chips that are thicker than the radius of the tool."""
     # Only for a path is the feed known before the run. Other runs report an event.
     if scene.device is not None or not isinstance(scene.motion, PathMotion):
         return
@@ -197,12 +202,12 @@ def _require_chips(scene: Scene, cutter: Cutter) -> None:
 
 
 def _filled_layers(volume: VoxelVolume) -> list[str]:
-    """Return the names of the layers that the tool can reach, in the order of the layers."""
+    """Return the names of the layers that have bone in a volume, in the order of `layer_names`."""
     return [volume.layer_names[at] for at in np.unique(volume.layer[volume.fraction > 0])]
 
 
 def _replaced_note(scene: Scene, layers: list[str]) -> dict[str, str]:
-    """Return a note if keys of the scene replace the coefficients of several materials."""
+    """Return a note if cutting keys of the scene apply to several layers of different materials."""
     given = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
     cut_as = [CUT_AS.get(layer, scene.cutting.material) for layer in layers]
     if not given or len(set(cut_as)) < 2:
@@ -215,7 +220,7 @@ def _replaced_note(scene: Scene, layers: list[str]) -> dict[str, str]:
 
 
 def _require_effect(scene: Scene, volume: VoxelVolume, layers: list[str]) -> None:
-    """Refuse keys that have no effect on the voxels that the tool can reach."""
+    """Raise an error for keys that have no effect on the voxels that the tool can reach."""
     anatomy = scene.anatomy
     cutting = scene.cutting
     if is_given(cutting, "density_exponent"):
@@ -257,7 +262,7 @@ def _require_effect(scene: Scene, volume: VoxelVolume, layers: list[str]) -> Non
 
 
 def _probed(volume: VoxelVolume, cutter: Cutter, motion: Motion, *, compute: str) -> "ProbedBone":
-    """Return rigid bone for a hand that touches it with a tool that does not rotate."""
+    """Return a model of rigid bone for a hand-held tool that does not rotate."""
     from tissue.haptics.hand_motion import HandMotion
     from tissue.haptics.proxy.probing_tool import ProbedBone, ProbingTool
     from tissue.haptics.proxy.proxy import ToolShell
@@ -279,7 +284,7 @@ def _probed(volume: VoxelVolume, cutter: Cutter, motion: Motion, *, compute: str
 
 
 class VoxelBone:
-    """Voxels and their cutting coefficients; several tools may cut them one after another.
+    """Voxels of bone with cutting coefficients, which several tools may cut one after another.
 
     Parameters
     ----------
@@ -339,10 +344,10 @@ class VoxelBone:
         return cls(voxels, coefficients, compute=compute)
 
     def reach(self, boxes: Boxes) -> bool:
-        """Make the bricks (blocks of 8 x 8 x 8 voxels) that the given boxes touch.
+        """Make the missing bricks (blocks of 8 x 8 x 8 voxels) that the given boxes touch.
 
-        The boxes are given by their corners [m]. The method returns True if models of this bone
-        must record their kernel launches again.
+        The boxes are given by their corners [m]. The method returns True if recorded kernel
+        launches of this bone's models are no longer valid.
         """
         return self.on_demand is not None and self.on_demand.make(boxes)
 
@@ -364,7 +369,7 @@ class VoxelBone:
         return self.store.volume, self.store.fraction()
 
     def cut_parts(self) -> Iterator[tuple[VoxelVolume, Bytes]]:
-        """Yield the parts that tools have cut.
+        """Yield the parts of the bone that tools have cut.
 
         Each part is a pair: the volume before any cut, and the bone left in each voxel (255 =
         full).
@@ -383,10 +388,10 @@ class VoxelBone:
     def under(
         self, cutter: Cutter, boxes: Boxes, start: Pose, *, shell_spacing_m: float | None = None
     ) -> tuple[BoneModel, bool]:
-        """Return a model of the bone within some boxes, and whether the last cut is continued.
+        """Return a model of the bone within some boxes, and True if it continues the last cut.
 
-        The last cut is continued, with the same model, if the cutter is the same and starts at the
-        pose at which this cut ended.
+        The model of the last cut is used again if the same cutter starts at the pose at which the
+        last cut ended.
         """
         grown = self.reach(boxes)
         last = self._last
@@ -452,7 +457,7 @@ class VoxelBone:
     ) -> BoneModel:
         """Return a model of the bone under a cutter.
 
-        Material that an earlier tool removed counts as older cuts.
+        Material that an earlier tool removed counts as removed before the current pass of the tool.
         """
         store = self.store
         if self._was_cut:
@@ -471,7 +476,7 @@ class VoxelBone:
 
 
 def _with_between(tips_m: Array, axes: Array, *, every_m: float) -> tuple[Array, Array]:
-    """Return poses and further poses at equal distances [m] on the straight lines between them."""
+    """Return the given poses, followed by interpolated poses at equal distances [m]."""
     along = arc_length(tips_m)
     wanted = np.arange(0.0, along[-1], every_m)
     turned = np.column_stack([np.interp(wanted, along, column) for column in axes.T])
@@ -487,7 +492,8 @@ def tool_boxes(
 
     The result is the lowest and the highest corner of each box [m], each of shape (n, 3).
 
-    The boxes cover the poses and the straight lines between them.
+    The boxes cover the cutter at the given poses and on the straight lines between successive
+    poses.
 
     Parameters
     ----------
@@ -507,7 +513,7 @@ def tool_boxes(
 
 
 def element_spacing_m(cutter: Cutter, *, depth_m: float, tolerance: float) -> float:
-    """Return the distance between cutting elements [m] at which the force meets a tolerance.
+    """Return the distance between cutting elements [m] for a tolerated error of the force.
 
     Parameters
     ----------

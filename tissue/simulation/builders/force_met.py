@@ -34,14 +34,15 @@ FINE_POSES = 3000
 """Number of poses of the scripted motion at which the force of a needle is evaluated.
 
 The number for a cutter or a blade is `POSES`. A needle needs more poses, because it breaks through
-a membrane within tenths of a millimetre. With four times as many poses of both kinds, the largest
-force of the built-in scenes changes by less than 0.2 %. The exception is `milling`, whose force has
-a short peak at a corner: its largest force changes by 21 %.
+a membrane within tenths of a millimetre. With four times as many poses, for needles and for
+cutters, the largest force of the built-in scenes changes by less than 0.2 %. The exception is the
+scene `milling`: its force has a short peak at a corner, and the largest force changes by 21 %.
 """
 ACROSS = 8.0
 """Number of voxels across the diameter of a cutter.
 
-With up to 32 voxels, the largest force of the built-in scenes changes by less than 4 %.
+With up to 32 voxels across the diameter, the largest force of the built-in scenes differs by less
+than 4 %.
 """
 ELEMENTS = 1500
 """Number of cutting elements of a cutter.
@@ -55,25 +56,26 @@ SLOT_M_S = 2e-3
 
 For this estimate, the cutter has `SLOT_VOXELS` voxels across its diameter.
 
-This force is used only to choose a force scale with two digits. The feed is assumed to be typical
-of milling by hand.
+The estimate is used only to choose a force scale with two digits. The value of the feed is assumed
+to be typical of milling by hand.
 """
 MOST = 0.35
 """Largest ratio of the scaled force along the scripted motion to the force limit of the device.
 
-The device plays up to twice this force without compression, so a hand may press twice as hard.
+The device renders up to twice this force without compression, so a hand may press twice as hard.
 """
 LEAST = 4.0
 """Smallest ratio of the largest scaled force to the friction of the device.
 
-The force is the largest force along the scripted motion. The value is assumed.
+The largest scaled force is the maximum along the scripted motion. The value is assumed.
 
-If both bounds cannot be met, `MOST` takes precedence.
+If the bounds `LEAST` and `MOST` contradict each other, `MOST` takes precedence.
 """
 STIFFER = 1.3
 """Ratio of the stiffnesses of two specimens for which the sensitivity d' is computed.
 
-The study uses the same ratio.
+d' measures how well a person can distinguish the two specimens. The discrimination study uses the
+same ratio.
 """
 HELD_BY = "expert"
 """Expertise group of the hand for which a scale is chosen; this scale is used for all hands."""
@@ -85,13 +87,14 @@ class Met(NamedTuple):
     Attributes
     ----------
     force_N
-        Largest force.
+        Largest force along the scripted motion [N].
     stiffness_N_m
-        Slope of the force as a function of the tool's depth, at the depth of the scripted motion.
-        The slope is 0 for a tissue that is cut or pierced. For a tissue that is graded along the
-        scripted motion, the value is the geometric mean of the slopes at both ends.
+        Slope of the force as a function of the tool's depth, at the depth of the scripted motion
+        [N/m]. The slope is 0 for a tissue that is cut or pierced. If the stiffness of the tissue
+        varies along the scripted motion, the value is the geometric mean of the slopes at both
+        ends.
     depth_m
-        Force divided by slope, both at the depth of the scripted motion. With Hertz's law, the
+        Force divided by slope, both at the depth of the scripted motion [m]. With Hertz's law, the
         result is two thirds of the depth of the scripted motion.
     """
 
@@ -101,7 +104,7 @@ class Met(NamedTuple):
 
 
 class Series(NamedTuple):
-    """Coupling and hand in series, and the low-force term of a person's threshold for forces.
+    """Compliance of coupling and hand in series, and a person's threshold for force changes.
 
     A hand aims to press a tissue of stiffness K to a depth D. The compliance of coupling (stiffness
     k) and hand (k_h) in series is s = 1/k + 1/k_h. With the force scale c, the force F at the
@@ -131,7 +134,7 @@ class Series(NamedTuple):
 
     @classmethod
     def of(cls, limits: DeviceParameters, constants: Materials) -> "Series":
-        """Return the series for a device in the hand `HELD_BY`."""
+        """Return the compliance and the threshold for a device in a hand of the group `HELD_BY`."""
         limit = limits.stiffness_limit_N_m
         stiffness = limit if isfinite(limit) else USUAL_N_M
         hand = hand_parameters(HELD_BY, constants).stiffness_N_m
@@ -151,7 +154,7 @@ class Series(NamedTuple):
         return sqrt(felt) / met.stiffness_N_m
 
     def sensitivity(self, met: Met, scale: float) -> float:
-        """Return the sensitivity d' for two tissues whose stiffnesses differ by `STIFFER`."""
+        """Return the sensitivity d' for two tissues with the stiffness ratio `STIFFER`."""
         stiffness = scale * met.stiffness_N_m
         yielding = 1.0 + stiffness * self.yields_m_N
         force_N = stiffness * met.depth_m / yielding
@@ -160,17 +163,17 @@ class Series(NamedTuple):
 
 
 class ForceScale(NamedTuple):
-    """Force scale (newtons at the device for each newton at the tool), and the reason for its
-    choice.
+    """Force scale, in newtons at the device per newton at the tool, and the reason for its choice.
 
     Attributes
     ----------
     factor
         Force scale.
     why
-        Reason for the choice, as the end of a sentence.
+        Reason for the choice, as text that completes a sentence.
     d_prime
-        Expected sensitivity for a tissue that is stiffer by `STIFFER`; None if it is not known.
+        Expected sensitivity d' for two tissues with the stiffness ratio `STIFFER`; None if it is
+        not known.
     """
 
     factor: float
@@ -179,12 +182,12 @@ class ForceScale(NamedTuple):
 
 
 def chosen_scale(scene: Scene) -> ForceScale:
-    """Return the given force scale of a scene, or choose it.
+    """Return the force scale of a scene, or choose a scale if the scene gives none.
 
     The chosen scale is the one with the largest sensitivity (see `Series`). The scale is limited:
     the largest force on the scripted motion must be above the friction of the device and well below
-    the force limit of the device. The scale has two digits. It is 1 without a device, or if no
-    force is known before the run.
+    the force limit of the device. The chosen scale has two digits. The scale is 1 if the scene has
+    no device, or if no force is known before the run.
 
     Raises
     ------
@@ -218,8 +221,8 @@ def chosen_scale(scene: Scene) -> ForceScale:
 def scale_for(met: Met, limits: DeviceParameters, series: Series) -> float:
     """Return the scale with the largest sensitivity, between friction and force limit of a device.
 
-    The scale has two digits. In `met`, force, slope and depth are values at the device without a
-    force scale.
+    The scale has two digits. The values in `met` must be forces, slopes and depths at the device
+    for a force scale of 1.
     """
     low = LEAST * limits.friction_N / met.force_N
     high = MOST * limits.force_limit_N / met.force_N
@@ -255,7 +258,7 @@ def _file_stamps(scene: Scene) -> list[tuple[str, int, int]]:
 
 @lru_cache(maxsize=64)
 def _met(table: str, _inputs: tuple[object, ...]) -> Met:
-    """Return the force on the scripted motion of a scene that is given as text."""
+    """Return the force along the scripted motion of a scene, which is given as text."""
     scene = Scene.read_back(table)
     entry = ANATOMIES[scene.anatomy.kind]
     if entry.build is not None:
@@ -272,7 +275,7 @@ def _met(table: str, _inputs: tuple[object, ...]) -> Met:
 
 
 def cut(scene: Scene) -> Met:
-    """Return the largest force of a cutter on the scripted motion, in coarse voxels.
+    """Return the largest force on a cutter along the scripted motion, computed in coarse voxels.
 
     For a tool that is pushed by a thrust, the result is the thrust.
     """
@@ -302,7 +305,7 @@ def pressed(scene: Scene) -> Met:
     """Return the force of a probe on a half space, at the depth of the scripted motion.
 
     The force is computed with Hertz's law for a ball, and with Boussinesq's law for the flat end of
-    a cylinder. The modulus of the stiffest tissue on the scripted motion is used; a nodule is
+    a cylinder. The modulus is that of the stiffest tissue along the scripted motion; a nodule is
     ignored. A hyperelastic law of the organ is ignored. With the exponential law of the scene
     `liver-press`, the simulated force is 1.3 times the returned force. For a probe of another shape
     the result is 0.
@@ -328,7 +331,7 @@ def pressed(scene: Scene) -> Met:
 
 
 def crossed(scene: Scene) -> Met:
-    """Return the largest force of a needle or a blade on the scripted motion."""
+    """Return the largest force on a needle or a blade along the scripted motion."""
     is_needle = isinstance(scene.tool, Needle)
     build = organ_scene.pierced if is_needle else organ_scene.incised
     without_frames = scene.anatomy.model_copy(update={"interval_ms": 0.0})
@@ -338,7 +341,7 @@ def crossed(scene: Scene) -> Met:
 
 
 def _largest(motion: Motion, tissue: TissueModel, poses: int) -> float:
-    """Return the largest force of a tissue [N] at poses of a motion at equal time intervals."""
+    """Return the largest force of a tissue on the tool [N], over poses at equal time intervals."""
     tool = ToolMotion()
     response = Response.empty(len(tissue.layer_names))
     most = 0.0

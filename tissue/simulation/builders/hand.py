@@ -1,4 +1,4 @@
-"""Motion of a tool that is coupled to a device, and of a tool that a scene's hand moves."""
+"""Build the motion of a tool that is coupled to a haptic device, in a real or simulated hand."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -45,7 +45,7 @@ A hand trembles and misses its targets. The value is assumed.
 
 
 def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tuple[HandMotion, str]:
-    """Return the motion that a scene's hand makes with the device, and a note.
+    """Return the motion of a tool that the scene's simulated hand moves with a device, and a note.
 
     The note describes the device, the hand, the renderer, and the chosen stiffness and force scale.
 
@@ -110,7 +110,7 @@ def _stray_m(scene: Scene) -> float:
 
 
 def _require_workspace(scene: Scene, scripted: Motion, limits: DeviceParameters) -> None:
-    """Refuse a motion that leaves the workspace of the device.
+    """Raise an error if a motion leaves the workspace of the device.
 
     The device may be turned, so any side of the workspace box may lie along any axis of the motion.
     """
@@ -139,9 +139,9 @@ def _aims(
     settings: LoopSettings,
     stiffness_N_m: float,
 ) -> tuple[Path, Callable[[float], Array] | None]:
-    """Return the path of the hand's target, and the additional force of the hand.
+    """Return the path of the hand's target position, and the function of an additional hand force.
 
-    The force is None if the hand only follows the path.
+    The function is None if the hand only follows the path.
     """
     corners = scripted.sweep_m()
     limits = settings.limits
@@ -198,11 +198,11 @@ def device_motion(
 ) -> tuple[HandMotion, list[str]]:
     """Return the motion of a tool that is coupled to a device, and notes on the chosen settings.
 
-    Forces are scaled by f, and motions by m: the tool moves m times as far as the device. A
-    stiffness K at the tool is therefore felt as m f K. Torques are scaled by f / m, so that the
-    work at the device is f / m times the work at the tool. The stiffness of the coupling is given
-    at the device, so the scales do not change this stiffness. The stability check uses the same
-    stiffness.
+    The device force is f times the force on the tool, and the tool moves m times as far as the
+    device. A stiffness K at the tool is therefore felt as m f K. Torques are scaled by f / m, so
+    that the work at the device is f / m times the work at the tool. The stiffness of the coupling
+    is given at the device, so it does not depend on f and m. The stability check uses the same
+    value.
 
     Parameters
     ----------
@@ -214,7 +214,7 @@ def device_motion(
     force_scale
         Newtons at the device for each newton at the tool, and a note on how the scale was chosen.
     rng
-        Generator of the perceptual noise of the person for whom the force is scaled.
+        Random generator of the sensory noise of the person for whom the force is scaled.
     allow_unstable
         Whether an unstable coupling is accepted.
 
@@ -271,7 +271,7 @@ def device_motion(
 def _law(settings: LoopSettings, loop: WallLoop) -> Renderer:
     """Return the rendering law that computes the contact force in every tick.
 
-    The law runs in every tick, even if the device gives fewer samples than there are ticks.
+    The law is evaluated in every tick, even if the device has fewer than 1000 samples per second.
     """
     return renderer(settings.held.renderer, replace(loop, tick_s=TICK_S))
 
@@ -286,10 +286,10 @@ def _tool(settings: LoopSettings, spring_N_m: float, start_m: Array, turn: HeldT
 
 
 def _played(settings: LoopSettings, person: Perception | None) -> PlayedForce:
-    """Return the processing of a force before it is sent to the device.
+    """Return the object that processes a force before it is sent to the device.
 
-    The processing includes the perceptual map, the vibration of a cutter's teeth, and cues at
-    events.
+    The object applies the perceptual map, and adds the vibration of a cutter's teeth and the
+    transients that signal a contact or puncture.
     """
     limits = settings.limits
     limit_N = limits.force_limit_N

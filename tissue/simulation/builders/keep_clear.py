@@ -1,4 +1,4 @@
-"""Build the measurements of distances to structures, and of the end of the simulated region."""
+"""Build the objects that watch the tool's distance to structures and its exit from the region."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -27,9 +27,12 @@ from tissue.simulation.builders.parts import Parts, swept_box
 from tissue.simulation.builders.voxels import is_procedural, solid_of, structures
 
 MARGIN_M = 10e-3
-"""Margin around the scripted motion, because a hand may leave the path [m]; assumed."""
+"""Assumed margin around the scripted motion [m], because a hand may leave the path."""
 POINTS_ACROSS = 12.0
-"""Number of points per radius on the tool's surface, for pictures; chosen by judgement."""
+"""Tool radius divided by the distance between points on the tool's surface.
+
+Pictures use these points. The value was chosen by judgement.
+"""
 
 
 def keep_clear(
@@ -42,14 +45,15 @@ def keep_clear(
     notes: dict[str, str],
     report: Progress,
 ) -> KeepClear:
-    """Build the measurement of a cutter's distance from the structures that a scene names.
+    """Build the object that measures a cutter's distance from the structures that a scene names.
 
     Parameters
     ----------
     anatomy
         Anatomy of the scene.
     placement
-        Pose of the scene in the frame of the anatomy's file; None if both frames are the same.
+        Pose of the scene in the frame of the file from which the anatomy was read; None if both
+        frames are the same.
 
     Raises
     ------
@@ -99,7 +103,7 @@ def keep_clear(
 
 
 def require_structures(wanted: Wanted, anatomy: CutAnatomy) -> Mapping[str, Shape]:
-    """Return the procedural structures of an anatomy, after a check of the wanted names.
+    """Check the wanted names, and return the procedural structures of an anatomy.
 
     Raises
     ------
@@ -114,7 +118,7 @@ def require_structures(wanted: Wanted, anatomy: CutAnatomy) -> Mapping[str, Shap
 
 
 def _unknown_structure(name: str, anatomy: CutAnatomy, shapes: Mapping[str, Shape]) -> InputError:
-    """Return the error for a name that is no structure of the anatomy."""
+    """Return the error for a name that does not belong to a structure of the anatomy."""
     known = [*shapes, *anatomy.structure_files]
     remedy = "give its surface in [keep_clear.files]"
     if known:

@@ -1,4 +1,4 @@
-"""Loops of a device for translation and rotation: settings, and stability check before the run."""
+"""Haptic loops for translation and rotation: settings, and stability check before the run."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -37,26 +37,26 @@ if TYPE_CHECKING:
     from tissue.perception.perceived import Perception
 
 Contact = Literal["cuts", "touches", "presses", "springs"]
-"""Kind of contact of a tool.
+"""Kind of contact between a tool and the tissue.
 
 A tool cuts, touches a rigid object, presses soft tissue, or presses a tissue that reports its
 stiffness (`Response.stiffness_N_m`), such as the virtual wall of a scene.
 """
 SHARE = 0.5
-"""Ratio of the coupling's stiffness to the critical stiffness in the scene's hand.
+"""Coupling stiffness divided by the critical stiffness of the loop with the scene's hand.
 
-The ratio is used if the scene gives no stiffness. Half of the critical stiffness without a hand
-would be only a seventh to a ninth of the stiffness chosen here. With either stiffness, a device
-that is released on a wall leaves the wall within some hundredths of a second; see
-tests/stability/test_wall_laws.py.
+The ratio sets the coupling stiffness if the scene gives none. Above the critical stiffness, the
+loop is unstable. Half of the critical stiffness without a hand would be seven to nine times
+smaller. With either of the two stiffnesses, a device that is released on a wall leaves the wall
+within some hundredths of a second; see tests/stability/test_wall_laws.py.
 """
 REST_SHARE = 0.3
-"""Share of the device's largest force at which a predictor is linearised.
+"""Contact force at which a predictor is linearised, divided by the device's largest force.
 
-This share is well below the 70 % above which forces are compressed to the range of the device.
+The value is well below 0.7, above which forces are compressed to the range of the device.
 """
 USUAL_N_M = 1000.0
-"""Stiffness at which a predictor is linearised, typical of a desktop device [N/m].
+"""Coupling stiffness at which a predictor is linearised, typical of a desktop device [N/m].
 
 The value is used for a device without a stiffness limit.
 """
@@ -64,7 +64,7 @@ The value is used for a device without a stiffness limit.
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """Settings of the loop of a device, a hand and a tool.
+    """Settings of the haptic loop that connects a hand, a device and a tool.
 
     Attributes
     ----------
@@ -81,8 +81,8 @@ class LoopSettings:
     scene_name
         Name of the scene for which a predictor was trained.
     own_predictor
-        Function that makes a new predictor, used instead of the predictor that the device table
-        names. With None, the predictor of the device table is used.
+        Function that makes a new predictor. With None, the predictor that the device table names is
+        used.
     """
 
     held: Device
@@ -97,7 +97,7 @@ class LoopSettings:
 
     @property
     def coupling(self) -> Coupling:
-        """Scene table of the coupling: stiffness, scales, latency and rate of the model."""
+        """Scene table of the coupling: stiffness, scales, latency and rate of the tissue model."""
         return self.held.coupling
 
     @cached_property
@@ -124,9 +124,9 @@ class LoopSettings:
         return None if self.held.prediction == "none" else self._maker()
 
     def perception(self, rng: np.random.Generator) -> "Perception | None":
-        """Return the perceptual map of the force, with a generator of sensory noise.
+        """Return the perceptual map that scales the force, with `rng` for the sensory noise.
 
-        The result is None if the force is not changed for a person.
+        The result is None if the scene requests no perceptual map.
         """
         if self.held.perception == "none":
             return None
@@ -152,9 +152,7 @@ class LoopSettings:
         return self.sample_s > TICK_S * (1.0 + 1e-6)
 
     def vibration(self, step_s: float) -> Vibration | None:
-        """Return the vibration of a cutter's teeth for a time step [s]; None if no vibration is
-        played.
-        """
+        """Return the vibration of a cutter's teeth for a time step [s]; None without vibration."""
         share = self.output.vibration_share
         if share == 0.0 or self.teeth_Hz == 0.0:
             return None
@@ -184,14 +182,15 @@ def loop_settings(scene: Scene) -> LoopSettings:
 
 @dataclass(frozen=True)
 class JudgedLoop:
-    """Loop with its total delay, and the result of the stability check.
+    """Haptic loop, including its total delay, and the result of its stability check.
 
     Attributes
     ----------
     loop
-        Loop with the given or chosen stiffness. For rotation, the units are N m/rad and so on.
+        Loop with the given or chosen stiffness. For the loop of rotation, the units are those of
+        rotation, such as N m/rad.
     verdict
-        Result of the stability check for the loop in the hand.
+        Result of the stability check for the loop with the hand.
     unit
         Unit of the stiffness.
     alone
@@ -208,17 +207,17 @@ class JudgedLoop:
     saves: str
 
     def sentence(self) -> str:
-        """Return a sentence on the chosen stiffness and its stability in a hand."""
+        """Return a sentence on the stiffness of the loop and on its stability with a hand."""
         return self.verdict.sentence(self.loop.stiffness_N_m).replace("N/m", self.unit)
 
     @property
     def needs_hand(self) -> bool:
-        """True if the loop is stable in a hand, but not without a hand."""
+        """True if the loop is stable with a hand, but unstable without a hand."""
         return self.verdict.stable and self.loop.stiffness_N_m >= self.alone
 
 
 def release_note(loops: Sequence[JudgedLoop]) -> str:
-    """Return a text about loops that are stable only in a hand; empty without such loops."""
+    """Return a text about the loops that are stable only with a hand; empty if there are none."""
     loops = [each for each in loops if each.needs_hand]
     if not loops:
         return ""
@@ -233,7 +232,7 @@ def release_note(loops: Sequence[JudgedLoop]) -> str:
 def judged_loops(
     settings: LoopSettings, *, allow_unstable: bool
 ) -> tuple[JudgedLoop, JudgedLoop | None]:
-    """Return the checked loop of translation and, if the device plays torque, the loop of rotation.
+    """Check and return the loop of translation and, for a device with torque, of rotation.
 
     The check of the rotational loop takes into account that a contact at a lever arm couples both
     loops.
@@ -267,7 +266,7 @@ def judged_loops(
 
 
 def _judged(loop: WallLoop, hands: tuple[LinearHand, ...], steepest: float) -> Verdict:
-    """Return the stability of a loop whose force slope is multiplied by ``steepest``."""
+    """Return the stability of a loop after multiplying its force slope by ``steepest``."""
     verdict = judge(loop.with_stiffness(steepest * loop.stiffness_N_m), hands)
     critical = verdict.critical_N_m / steepest
     nearest = loop.stiffness_N_m if verdict.stable else nearest_stable_N_m(critical)
@@ -275,13 +274,13 @@ def _judged(loop: WallLoop, hands: tuple[LinearHand, ...], steepest: float) -> V
 
 
 def _usable_share(position: Verdict) -> float:
-    """Return the usable share of the critical rotational stiffness, given the loop of translation.
+    """Return the share of the critical rotational stiffness that a loop of rotation may use.
 
     A contact at a lever arm couples both loops. If each loop has its critical stiffness, the
     coupled loops may be unstable. If one loop has at most `SHARE` of its critical stiffness, the
     other loop may use its full critical stiffness. Otherwise, the sum of both shares is limited to
-    1 + `SHARE`. The smallest sum of shares at which an oscillation grew is 1.76. In this case, bone
-    blocks a cutter 55 mm from its tip, and the device is a sigma-7; see
+    1 + `SHARE`. In tests, the smallest sum of shares at which an oscillation grew is 1.76. In this
+    test, bone blocks a cutter 55 mm from its tip on a sigma-7; see
     tests/stability/test_judged_loops.py.
     """
     return min(max(SHARE + position.margin, SHARE), 1.0)
@@ -294,15 +293,15 @@ def _steepest(settings: LoopSettings) -> float:
 
 
 def judged_loop(settings: LoopSettings) -> WallLoop:
-    """Return the loop for the stability check of a coupling, with its total delay.
+    """Return the loop, including its total delay, with which a coupling is checked for stability.
 
     For a tool that cuts or only touches bone, or presses a tissue that reports its stiffness, the
-    force responds to a device sample in the same tick. In any other tissue, the tool estimates the
-    stiffness from its last motion. While the tool slides along the surface, it therefore estimates
-    the stiffness along the surface, and finds its force balance a tick later. For a guarded
-    predictor, the loop contains the predictor or its fallback, whichever has the lower critical
-    stiffness. The check includes the played vibration of a cutter's teeth, which is proportional to
-    the force.
+    force responds to a device sample in the same tick. For any other tissue, the model of the tool
+    estimates the stiffness of the tissue from the last motion of the tool. For a tool that slides
+    along the surface, this is the stiffness along the surface. The force balance is then found one
+    tick later. For a guarded predictor, the loop contains the predictor or its fallback, whichever
+    has the lower critical stiffness. The loop also includes the vibration of a cutter's teeth,
+    because the amplitude of the vibration is proportional to the force.
 
     A slow device holds each force until its next sample, so its loop is checked at the sample rate
     of the device.
@@ -350,19 +349,19 @@ def lead_ticks(settings: LoopSettings) -> float:
 
 
 def motor_path(settings: LoopSettings) -> WallLoop:
-    """Return the path of a force to the motor.
+    """Return a loop with only the stages that a force passes on its path to the motor.
 
-    The path consists of low-pass, latency, transport, zero-order hold and amplifier.
+    The stages are low-pass, latency, transport, zero-order hold and amplifier.
     """
     path = replace(device_path(settings.limits), filter_s=1e-3 * settings.output.low_pass_ms)
     return _delayed(settings, path, 0.0)
 
 
 def device_path(limits: DeviceParameters) -> WallLoop:
-    """Return the path of a force through the device to its motor, in ticks.
+    """Return a loop with only the stages that a force passes in the device, with ticks of 1 ms.
 
-    The path consists of transport, zero-order hold and amplifier. A slow device holds each force
-    longer than a tick. Half of the additional hold time is added as delay.
+    The stages are transport, zero-order hold and amplifier. A slow device holds each force longer
+    than a tick. Half of the additional hold time is therefore added as delay.
     """
     loop = sampled(limits).loop(1.0)
     return replace(loop, tick_s=TICK_S, delay_s=loop.delay_s + 0.5 * (loop.tick_s - TICK_S))
@@ -371,7 +370,7 @@ def device_path(limits: DeviceParameters) -> WallLoop:
 def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
     """Return the linearised model of the predictor and, for a guarded predictor, of its fallback.
 
-    The list contains only None if forces are not predicted.
+    If forces are not predicted, the only element of the list is None.
 
     The models are linearised for a tool at rest in contact. The contact force is the share
     `REST_SHARE` of the device's largest force.
@@ -409,8 +408,8 @@ def _forecasts(settings: LoopSettings) -> list[Forecast | None]:
 def _turning_loop(settings: LoopSettings) -> WallLoop:
     """Return the loop for the stability check of the rotational coupling.
 
-    A pressing tool estimates the rotational stiffness of the tissue, so the force balance of the
-    tool may be found a tick later.
+    For a pressing tool, the rotational stiffness of the tissue is estimated, so the balance of
+    torques may be found one tick later.
     """
     limits = settings.limits
     chosen = settings.coupling
@@ -431,9 +430,9 @@ def _chosen(
     limit: float,
     steepest: float = 1.0,
 ) -> WallLoop:
-    """Return the loop with the given stiffness, or with half of the critical stiffness in the hand.
+    """Return the loop with the given stiffness or, if none is given, with a chosen stiffness.
 
-    The critical stiffness is computed for a hand without reflex. A chosen stiffness is at most
+    The chosen stiffness is half of the critical stiffness in a hand without reflex, but at most
     `limit`.
     """
     if given is None:
@@ -450,12 +449,12 @@ def _delayed(settings: LoopSettings, loop: WallLoop, extra_s: float) -> WallLoop
 
 
 def _model_samples(settings: LoopSettings) -> int:
-    """Return the number of device samples during which one response of the model is used."""
+    """Return the number of device samples for which one response of the tissue model is used."""
     return max(ceil(settings.coupling.model_ms * TICK_S / settings.sample_s - 1e-9), 1)
 
 
 def _too_slow(settings: LoopSettings, what: str, remedy: str) -> InputError:
-    """Return the error for a device that is too slow for a part of the loop."""
+    """Return the error for a device whose sample rate is too low for a stage of the loop."""
     return InputError(
         f"{settings.name} gives {settings.limits.rate_Hz:.4g} samples a second, but {what} "
         f"needs {1.0 / TICK_S:g}. "

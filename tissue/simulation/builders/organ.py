@@ -1,4 +1,4 @@
-"""Soft organ of a scene: mesh at the site, supports, material and hyperelastic law."""
+"""Build the soft organ of a scene: mesh, supports, material and hyperelastic law."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -72,14 +72,14 @@ The error of linear tetrahedra in a cantilever is 32 % at a Poisson's ratio of 0
 
 
 REGION = 2.0
-"""Ratio of the radius of the region in which a hyperelastic law is solved to the radius of the
-tool.
+"""Radius of the region in which a hyperelastic law is solved, divided by the tool's radius.
 
 With a Yeoh law that doubles the linear force, the error of the force at rest is 2.0 % with this
 ratio, and 5.2 % with a ratio of 1.5. The error is measured against Newton's method at a depth of
-0.8 of the radius (`tests/verification/test_organ_laws.py`). In `liver-press` with a neo-Hookean
-law, the error is 0.5 % with a ratio of 1.5 and 1.3 % with 1.0 (RMS over ticks), against the law in
-the whole liver: `python tests/bench/bench_law_region.py`.
+0.8 of the radius (`tests/verification/test_organ_laws.py`). In the scene `liver-press` with a
+neo-Hookean law, the RMS error over ticks is 0.5 % with a ratio of 1.5, and 1.3 % with a ratio of
+1.0. This error is measured against the law in the whole liver, with `python
+tests/bench/bench_law_region.py`.
 """
 NOT_WITH = ("gravity", "fibre_direction")
 """Keys of an organ that a hyperelastic law does not support."""
@@ -87,12 +87,12 @@ NOT_WITH = ("gravity", "fibre_direction")
 
 @dataclass(frozen=True, eq=False)
 class HeldMesh:
-    """Organ at its site; the tool comes down from +z to the origin.
+    """Mesh of an organ in the frame of the scene, where the tool moves down to the origin from +z.
 
     Attributes
     ----------
     mesh
-        Tetrahedra.
+        Tetrahedra of the organ.
     held
         Indices of nodes that do not move, in increasing order.
     notes
@@ -110,7 +110,7 @@ class HeldMesh:
 def held_mesh(
     anatomy: SoftAnatomy, *, path_m: Array, touch_edge_m: float, report: Progress
 ) -> HeldMesh:
-    """Mesh the organ of a scene, and refine the mesh along the path of the tool.
+    """Return a mesh of a scene's organ that is finer along the path of the tool.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def held_mesh(
     path_m
         Corners of the path of the tool's tip [m], shape (k, 3).
     touch_edge_m
-        Longest edge on the path [m].
+        Largest edge length on the path [m].
     report
         Function that is called with the name of the current work.
 
@@ -163,7 +163,7 @@ def held_mesh(
 def elasticity_of(
     mesh: TetMesh, anatomy: SoftAnatomy, organ: Organ, constants: Materials = Materials.cited
 ) -> tuple[Array, str]:
-    """Return the elasticity of the cells [Pa], and a note on it; see `SoftMaterial.elasticity`."""
+    """Return the elastic constants of the cells [Pa], and a note; see `SoftMaterial.elasticity`."""
     material, notes = material_of(anatomy, organ, constants)
     with names_of_caller(OF_ORGAN):
         return material.elasticity(mesh), notes["modulus"]
@@ -179,8 +179,8 @@ def material_of(
     Raises
     ------
     InputError
-        If a viscous organ has the compliance ``lazy`` (see the key ``organ.path``), or there are no
-        relaxation constants for its material.
+        If the organ is viscous and its compliance is ``lazy`` (see the key ``organ.path``), or if
+        its material has no relaxation constants.
     """
     cited = constants.constants("soft", organ.material)
     young_kPa = organ.young_kPa or cited["modulus_kPa"].value
@@ -303,7 +303,7 @@ def _nodule(anatomy: WithNodule) -> Nodule | None:
 def _from_file(
     anatomy: LiverFile, fine: Callable[[TetMesh, Move | None], TetMesh], report: Progress
 ) -> HeldMesh:
-    """Read a mesh from a file, and move and rotate it to its site."""
+    """Read a mesh from a file, and move and rotate it into the frame of the scene."""
     found = read_tets(
         anatomy.file, unit_mm=anatomy.scale_mm, edge_m=1e-3 * anatomy.edge_mm, report=report
     )
@@ -376,9 +376,9 @@ def hindrance(organ: Organ) -> str | None:
 
 
 def with_cited_shape(organ: Organ, constants: Materials) -> Organ:
-    """Return an organ with a value for the rate of its exponential law.
+    """Return an organ whose exponential law has a value for its rate.
 
-    The scene gives the rate. Without a rate in the scene, the constants of the material give it.
+    If the scene gives no rate, the rate is taken from the constants of the material.
     """
     if organ.law != "exponential" or organ.exponential_rate is not None:
         return organ
@@ -389,7 +389,7 @@ def with_cited_shape(organ: Organ, constants: Materials) -> Organ:
 def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
     """Return the hyperelastic law of the first cell, and relative moduli of all cells, shape (m,).
 
-    The relative moduli are the moduli of a cell divided by the moduli of the first cell.
+    The relative modulus of a cell is its modulus divided by the modulus of the first cell.
 
     The result is None for the linear law.
 
@@ -398,8 +398,8 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
     organ
         Organ parameters of the scene.
     lame_Pa
-        Lame constants at small strains [Pa], shape (m, 2), as returned by `elasticity_of`. Their
-        ratio is the same in all cells.
+        Lame constants at small strains [Pa], shape (m, 2), as returned by `elasticity_of`. The
+        ratio of the two constants must be the same in all cells.
 
     Raises
     ------

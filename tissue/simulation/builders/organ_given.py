@@ -1,7 +1,4 @@
-"""Material and supports of a soft organ.
-
-Scenes and `tissue.Organ` both use this `SoftMaterial` and these supports.
-"""
+"""Material and supports of a soft organ, for scenes and for `tissue.Organ`."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -28,8 +25,9 @@ if TYPE_CHECKING:
     from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan
 
 COINCIDE = 1e-6
-"""Largest distance at which a node coincides with a given point, relative to the size of the
-mesh.
+"""Largest relative distance at which a node is treated as equal to a given point.
+
+The distance is divided by the size of the mesh.
 """
 CAPSULE = "give its thickness in um and its modulus in kPa, such as (50, 8200)"
 SIDES = {
@@ -42,7 +40,7 @@ SIDES = {
     "-z": (0.0, 0.0, -1.0),
     "+z": (0.0, 0.0, 1.0),
 }
-"""Outward directions of the sides of the surface that may be held, keyed by name."""
+"""Outward directions of the sides of an organ's surface that may be held, keyed by name."""
 Hold = Callable[[TetMesh], Nodes]
 """Function that returns the held nodes of a mesh."""
 
@@ -70,12 +68,13 @@ class SoftMaterial:
     density_kg_m3
         Density [kg/m3]. If it is given, gravity acts on the organ.
     relaxation
-        Pairs of two numbers: a share of the modulus that relaxes, and the relaxation time of this
-        share [s].
+        Pairs of two numbers: the share of the modulus that relaxes, and the time in which this
+        share relaxes [s].
     graded_kPa, grading_exponent
         Young's modulus changes from `modulus_kPa` at the smallest x to `graded_kPa` [kPa] at the
-        largest x. It depends on a power of the distance from the smallest x, with the exponent
-        `grading_exponent`. There is no grading if `graded_kPa` is None.
+        largest x. In between, the change is proportional to a power of the distance from the
+        smallest x, with the exponent `grading_exponent`. There is no grading if `graded_kPa` is
+        None.
     fibre_direction, fibre_modulus_ratio
         Direction of the fibres, None for no fibres. The ratio is Young's modulus along the fibres
         divided by Young's modulus across the fibres.
@@ -156,7 +155,7 @@ class SoftMaterial:
         return found
 
     def elasticity(self, mesh: TetMesh) -> Array:
-        """Return the elasticity of the cells [Pa].
+        """Return the elastic constants of the cells of a mesh [Pa].
 
         The result contains Lame constants, shape (m, 2). With fibres, it contains stiffness
         matrices, shape (m, 6, 6).
@@ -262,7 +261,7 @@ def hold_of(
     Raises
     ------
     InputError
-        If a side, a part or a point does not exist.
+        If the mesh does not have the given side, part or point.
     """
     if held_below_mm is not None:
         point = (0.0, 0.0, 1e-3 * float(held_below_mm))

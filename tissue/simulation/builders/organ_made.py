@@ -1,4 +1,4 @@
-"""Soft organ from a caller's tetrahedra, surface with inclusions, or labels."""
+"""Soft organ made from tetrahedra, from a surface with inclusions, or from a label image."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 LAW_KEYS = ("name", *chain.from_iterable(LAW_SHAPES.values()))
 """Keys of a hyperelastic law that a caller gives as a mapping."""
 ENVELOPE = 0.1
-"""Largest distance by which an inclusion may overlap another one or extend beyond the organ.
+"""Largest distance by which an inclusion may overlap an inclusion or extend beyond the organ.
 
 The distance is relative to the edge length.
 
-The mesher moves a surface by up to this distance.
+The mesh generator moves a surface by up to this distance.
 """
 FINE_EDGES = 1.0
 """Distance from a given point, in edge lengths, within which all edges have the shortest length.
@@ -77,8 +77,8 @@ class MadeOrgan:
     surface
         Surface that the mesh represents; None for given tetrahedra.
     near
-        Region that a tool will press: points [m], shape (k, 3), and the radius of the region around
-        each point [m]. None if the region is not known.
+        Region that a tool will press: points, shape (k, 3), in metres, and the radius around each
+        point [m]. None if the region is not known.
     law
         Scene table of the hyperelastic law; None for the linear law.
     """
@@ -186,7 +186,7 @@ class StatedOrgan:
 
     @classmethod
     def of(cls, modulus_kPa: float, poisson_ratio: float, options: OrganOptions) -> "StatedOrgan":
-        """Return the material and supports from a caller's arguments; None values are left out.
+        """Return material and supports from the arguments of a call; None values are left out.
 
         Raises
         ------
@@ -214,7 +214,7 @@ class StatedOrgan:
 
 
 def _law_table(law: object) -> LawTable | None:
-    """Return the scene table of a hyperelastic law, which a caller gives as a name or a mapping.
+    """Return the scene table of a hyperelastic law, which is given as a name or a mapping.
 
     The result is None for the linear law.
 
@@ -256,11 +256,11 @@ def made_of(
     Parameters
     ----------
     mesh, notes
-        Tetrahedra [m], and notes on the mesh. A note on the supports is added.
+        Tetrahedra [m], and a dict of notes on the mesh, to which a note on the supports is added.
     stated
         Material and supports.
     points_mm
-        Points to which ``held`` refers [mm]; None for the nodes of the mesh.
+        Points to which a mask or indices of held points refer [mm]; None for the nodes of the mesh.
     surface
         Surface that the mesh represents.
 
@@ -334,7 +334,7 @@ def of_labels(
     edge_mm: float | None,
     report: Progress,
 ) -> MadeOrgan:
-    """Return an organ of a label image; its parts are the labels that have a modulus.
+    """Return an organ made from a label image; its parts are the labels that have a modulus.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Tissue that a probe presses, a needle pierces or a blade cuts: soft organs, and the test wall."""
+"""Build the soft tissue that a probe, a needle or a blade touches, and the virtual test wall."""
 
 from functools import partial
 from math import inf
@@ -31,26 +31,26 @@ if TYPE_CHECKING:
 POSES_TRIED = 200
 """Number of poses along a motion at which contact is searched for, chosen by judgement.
 
-The search adds the margin `tissue.models.organ.soft_organ.MARGIN_EDGES` around the triangles that
-it finds.
+A margin, `tissue.models.organ.soft_organ.MARGIN_EDGES`, is added around the triangles in contact.
 """
 KEPT = 0.01
-"""Largest distance between an omitted corner of the path and the simplified path [edge lengths].
+"""Largest distance of an omitted corner of a path from the simplified path [edge lengths].
 
 Corners are omitted because a recorded path has one corner per tick.
 """
 HAND_M = 0.01
-"""Distance of the needle's entry point from the planned track up to which fields are drawn [m].
+"""Largest distance of a needle from its planned track at which fields are drawn [m].
 
-If a hand inserts the needle farther away, the drawn tissue is undeformed. Otherwise the fields are
-drawn as if the needle were on the planned track.
+The distance is measured at the entry point of the needle. If a hand inserts the needle farther
+away, the drawn tissue is undeformed. Otherwise, displacement and stress are drawn as if the needle
+were on the planned track.
 
-The largest distance is an eighth of the size of the block of tissue around the track.
+The value is an eighth of the size of the drawn block of tissue.
 """
 
 
 _meshes: Kept[HeldMesh] = Kept(2)
-"""Meshes of procedural organs, keyed by the parameters and the path of the tool."""
+"""Cached meshes of procedural organs, keyed by the organ's parameters and the tool's path."""
 
 
 def pierced(scene: Scene, motion: Motion, *, report: Progress, **settings: object) -> Parts:
@@ -59,7 +59,7 @@ def pierced(scene: Scene, motion: Motion, *, report: Progress, **settings: objec
     Raises
     ------
     InputError
-        If the wall of the vessel is not below the capsule.
+        If the wall of the vessel is not deeper than the capsule of the organ.
     """
     from tissue.models.needle.fields import NeedleFields, Track
     from tissue.models.needle.model import NeedleModel
@@ -124,8 +124,8 @@ def pressed(
     Raises
     ------
     InputError
-        If the organ cannot be meshed or held, or the probe never touches the organ or starts inside
-        it.
+        If the organ cannot be meshed, if no node of the organ is held, or if the probe never
+        touches the organ or starts inside it.
     """
     from tissue.models.organ.model import ContactSolution, LiverModel
     from tissue.models.organ.soft_organ import ToolPath
@@ -190,8 +190,9 @@ def wall(scene: Scene, motion: Motion, **settings: object) -> Parts:
 
 
 def pierced_tissue(scene: Scene) -> "NeedleTissue":
-    """Return the tissue that a scene's needle pierces; a registered needle supplies its own
-    tissue.
+    """Return the tissue that a scene's needle pierces.
+
+    A needle registered by the user supplies its own tissue.
     """
     from tissue.models.needle.parameters import needle_tissue, vessel_wall
 
@@ -265,7 +266,7 @@ def blade_of(scene: Scene) -> "IncisionBlade":
 
 
 def probe_of(tool: Probe) -> ProbeShape:
-    """Return the shape that the tool table of a scene describes.
+    """Return the shape of the probe that the tool table of a scene describes.
 
     Raises
     ------
@@ -288,10 +289,10 @@ def probe_of(tool: Probe) -> ProbeShape:
 
 
 def require_outside(mesh: TetMesh, motion: Motion) -> None:
-    """Refuse a motion that starts with the tip of the tool inside the organ.
+    """Raise an error if a motion starts with the tip of the tool inside the organ.
 
-    A probe whose tip is outside but which overlaps the organ is refused later, by the contact
-    model.
+    If the tip is outside but another part of the probe overlaps the organ, the contact model raises
+    an error later.
     """
     tip = motion.sweep_m()[0]
     corners = mesh.nodes_m[mesh.cells]

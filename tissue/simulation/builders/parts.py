@@ -1,4 +1,4 @@
-"""Parts of a run, the motion of the tool with checks of its path, and real devices."""
+"""Objects that simulate a scene, checks of the tool's motion, and opening of real devices."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -32,7 +32,7 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, ReplayMotion, ThrustMotion
 
 FILE_WORDS = ("file", "surface", "vertices", "faces", "triangles", "cells", "nodes", "labels")
-"""Names of arguments of functions that read files of anatomy or tools."""
+"""Argument names of the functions that read anatomy files and tool files."""
 RECORDED = "recorded"
 """Name of the device that replays a motion from a file."""
 Corners = tuple[Array, Array]
@@ -40,18 +40,18 @@ Corners = tuple[Array, Array]
 POSES_TRIED = 300
 """Number of poses along a motion at which contact is searched for, chosen by judgement."""
 FAR_M = 0.1
-"""Distance between path and bone up to which no note is made [m].
+"""Distance between path and bone [m] above which a run contains a note.
 
 A robot may approach the bone from this distance. The limit is at least the size of the simulated
-bone, so larger bones have a larger limit. Chosen by judgement.
+bone, so larger bones have a larger limit. The value was chosen by judgement.
 """
 MUCH_MORE = 2.0
-"""Ratio above which the other order of quaternion components is suggested.
+"""Ratio of volumes above which a run suggests that quaternions are given as w, x, y, z.
 
-The ratio is the volume of the tool inside bone with the order x, y, z, w, divided by this volume
-with the order w, x, y, z.
+Both volumes are the volume of the tool inside the bone at the start. The first volume results from
+the order x, y, z, w, and the second volume from the order w, x, y, z.
 
-The limit is larger than 1, because a tool that starts in contact overlaps some bone with both
+The limit is larger than 1, because a tool that starts in contact overlaps some bone for both
 orders. The value is assumed.
 """
 
@@ -65,9 +65,10 @@ class Parts:
     motion, tissue
         Motion of the tool, and model of the tissue.
     cutter, volume
-        Cutter, and voxels before the cut; None if the tool does not cut.
+        Cutter, and voxels before the first cut; both None if the tool does not cut.
     placement
-        Pose of the scene in the frame of the anatomy's file; None for an anatomy without a file.
+        Pose of the scene in the frame of the file from which the anatomy was read; None for an
+        anatomy without a file.
     notes
         Notes on assumptions and findings, keyed by subject.
     events
@@ -91,7 +92,7 @@ class Parts:
 
     @property
     def fields(self) -> FieldSeries | None:
-        """Displacement and stress over time; None if the tissue or the scene has no such fields."""
+        """Fields over time, such as displacement; None if the tissue or the scene has no fields."""
         return self.tissue.fields if isinstance(self.tissue, HasFields) else None
 
 
@@ -117,9 +118,9 @@ def plays_record(scene: Scene) -> bool:
 
 
 def recorded_file(scene: Scene) -> str:
-    """Return the file with recorded poses of the tool; empty for other motions.
+    """Return the path of the file with recorded tool poses; empty if the motion is not recorded.
 
-    The file belongs to a replay motion or to a recorded device.
+    The file is given for a replay motion or for a recorded device.
     """
     if plays_record(scene):
         return scene.held.hardware.address
@@ -163,7 +164,10 @@ def reach(cutter: Cutter, motion: Motion, margin: float) -> Corners:
 
 
 def swept_box(shell: Array, motion: Motion, margin: float) -> Corners:
-    """Return a box around all positions of the tool's points, shape (n, 3), with a margin [m]."""
+    """Return a box, with a margin [m], around all positions of points of the tool.
+
+    The points `shell` have shape (n, 3), in the frame of the tool [m].
+    """
     tips = motion.sweep_m()
     rotations = motion.rotations()
     # A recorded motion has an orientation in every tick. It is divided into about 500 parts, and
@@ -178,8 +182,8 @@ def swept_box(shell: Array, motion: Motion, margin: float) -> Corners:
 def poses_along(motion: Motion, chosen: slice | Ints, count: int) -> tuple[Array, Array]:
     """Return poses along a motion at which contact is searched for.
 
-    The result is tips [m], shape (p, 3), and rotations, shape (p, 3, 3). The result contains
-    `count` poses with equal distances, and the chosen corners of the motion.
+    The result is tips, shape (p, 3), in metres, and rotations, shape (p, 3, 3). The poses are
+    `count` poses at equal distances, and the corners of the motion that `chosen` selects.
     """
     corners = motion.sweep_m()
     turns = motion.rotations()
@@ -205,7 +209,7 @@ def _fraction_at(volume: VoxelVolume, points_m: Array) -> Bytes:
 def _fine_shell(volume: VoxelVolume, cutter: Cutter) -> Array:
     """Return closely spaced points of the cutting surface [m], shape (n, 3).
 
-    Their distance is one voxel, but at least 1/24 of the radius of the cutter.
+    The distance between points is one voxel, but at least 1/24 of the radius of the cutter.
     """
     # A distance below the size of a voxel finds no more contact. 24 points per radius limit the
     # work.
@@ -213,7 +217,7 @@ def _fine_shell(volume: VoxelVolume, cutter: Cutter) -> Array:
 
 
 def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
-    """Refuse a motion that never brings the cutting surface into bone."""
+    """Raise an error if a motion never brings the cutting surface into bone."""
     shell = _fine_shell(volume, cutter)
     every = slice(None, None, len(motion.sweep_m()) // POSES_TRIED + 1)
     tips, turns = poses_along(motion, every, POSES_TRIED)
@@ -248,7 +252,7 @@ def far_note(volume: VoxelVolume, points_mm: Sequence[Sequence[float]]) -> str |
 
 
 def require_outside(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
-    """Refuse a motion that starts with the cutting surface inside the tooth."""
+    """Raise an error if a motion starts with the cutting surface inside the tooth."""
     shell = _fine_shell(volume, cutter)
     points = motion.sweep_m()[0] + shell @ motion.rotations()[0].T
     inside = int((_fraction_at(volume, points) == FULL).sum())
@@ -263,7 +267,7 @@ def require_outside(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None
 
 
 def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
-    """Refuse bone that the edge of a scan cuts off within the reach of the tool."""
+    """Raise an error if the tool reaches a place where the edge of a scan cuts off the bone."""
     how = "with a hole"
     remedy = "close it in a mesh editor"
     if is_image:
@@ -284,9 +288,9 @@ def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
 
 
 def _on_one_side(points: Array, region: Corners) -> bool:
-    """Return whether a region (box) lies completely on one side of a cap, given by its points.
+    """Return True if a region (box) lies completely on one side of a cap.
 
-    A cap is a plane where a scan cuts off bone.
+    A cap is a plane where a scan cuts off bone; `points` are points of this plane.
 
     The bounding box of the cap is not used, because it is too wide for an oblique cut.
     """
@@ -298,18 +302,19 @@ def _on_one_side(points: Array, region: Corners) -> bool:
 
 
 def w_first_notice(volume: VoxelVolume, cutter: Cutter, motion: Motion, file: str) -> str | None:
-    """Return a sentence if the start pose suggests that w is the first quaternion column, or None.
+    """Return a sentence if the start pose suggests that w is the first quaternion column.
 
-    This is the case if the tool starts inside the bone, but would hardly overlap the bone if w were
-    the first column. A quaternion has unit length in both orders, so the order can only be
-    recognised from the position of the tool.
+    The result is None otherwise. The sentence is returned if the tool starts inside the bone, but
+    would hardly overlap the bone if w were the first column. A quaternion has unit length in both
+    orders, so the order can only be recognised from the position of the tool.
 
     Parameters
     ----------
     volume, cutter, motion
         Bone, tool and recorded motion.
     file
-        File of the recorded poses. The axis of the recorded tool depends on the kind of file.
+        File of the recorded poses. The kind of file determines which axis of the recorded frame is
+        the axis of the tool.
     """
     turn = SHAFT_TO_X if Path(file).suffix.lower() in RECORDINGS else Rotation.identity()
     rotation = Rotation.from_matrix(motion.rotations()[0])
@@ -346,7 +351,7 @@ def _inside_mm3(volume: VoxelVolume, cutter: Cutter, tip_m: Array, rotation: Rot
 
 
 def opens_device(scene: Scene) -> bool:
-    """Return whether a scene names a real device that can be opened."""
+    """Return True if the device of a scene is a real device."""
     return scene.device is not None and DEVICES[scene.held.kind].is_real
 
 
@@ -367,7 +372,9 @@ def opened_device(scene: Scene) -> Device | None:
 
 
 def new_device(kind: str, hardware: Hardware, *, start_m: Triple) -> Device | None:
-    """Return a new real device whose first pose corresponds to ``start_m``, or None.
+    """Return a new real device whose first pose is mapped to ``start_m``.
+
+    The result is None for a kind of device that is only simulated.
 
     Raises
     ------
@@ -406,15 +413,15 @@ def require_device(device: object, kind: str = "") -> None:
 def require_stated_rate(
     device: Device | SafeDevice, limits: DeviceParameters, *, remedy: str
 ) -> None:
-    """Refuse a device that is slower than assumed in the stability check.
+    """Raise an error if a device is slower than assumed in the stability check.
 
-    A device may give its rate [samples per second] in ``limits`` or ``parameters``. A device
-    without these attributes is assumed to have the rate of `limits`.
+    The device may give its rate [samples per second] in its attribute ``limits`` or ``parameters``.
+    Without these attributes, the device is assumed to have the rate in the argument `limits`.
 
     Raises
     ------
     InputError
-        If the device is slower than the rate of `limits`.
+        If the rate of the device is lower than the rate in the argument `limits`.
     """
     held = device.device if isinstance(device, SafeDevice) else device
     for name in ("limits", "parameters"):

@@ -1,4 +1,4 @@
-"""Construction of predictors and perceptual maps from their names."""
+"""Construction of force predictors and perceptual maps from their names in a scene."""
 
 from collections.abc import Callable
 from functools import cache
@@ -33,13 +33,14 @@ FALLBACKS = ("hold", "linear", "kalman")
 For a predictor with a Koopman operator, training chooses one of these predictors as fallback.
 """
 ADAPTIVE = "koopman-online"
-"""Name of the predictor that starts from a general operator if the scene has no trained
-operator.
+"""Name of the predictor that adapts its Koopman operator during the run.
+
+If the scene has no trained operator, the predictor starts from a general operator.
 """
 CAUTION = 0.1
-"""Quantile of the distribution of people's thresholds that is used as the limit of the deadband.
+"""Quantile of the thresholds for force changes, over people, that limits the deadband.
 
-Nine in ten people have a threshold above this limit.
+Nine in ten people have a threshold above the limit.
 """
 
 
@@ -49,14 +50,14 @@ def maker_of(
     """Return a function that makes new predictors for a scene's device.
 
     The first call of the returned function reads the file of a trained predictor. Later calls use
-    the data of the first call.
+    the data that the first call has read.
 
     Parameters
     ----------
     kind
         Name of a predictor in `PREDICTORS`.
     scene_name
-        Name of the scene. The file must have been trained for this scene.
+        Name of the scene for which the predictor in the file must have been trained.
     file
         File that `tissue train` wrote; empty for the file that is shipped for the scene.
     force_limit_N
@@ -90,8 +91,9 @@ def trained_predictor(
 ) -> Predictor:
     """Return a guarded predictor from its name in `PREDICTORS` and trained parameters.
 
-    If `koopman-online` has no trained parameters, its operator is chosen by the encoder step of the
-    device [m]. The default is the encoder step of the devices in training.
+    If `koopman-online` has no trained parameters, its operator is chosen for `encoder_step_m`, the
+    encoder step of the device [m]. With the default, the encoder step of the devices in training is
+    used.
 
     Raises
     ------
@@ -137,13 +139,13 @@ def perception(
     tick_s: float,
     friction_N: float = inf,
 ) -> Perception:
-    """Return a perceptual map from its name in `PERCEPTIONS`, or for an observer.
+    """Return the perceptual map with a name in `PERCEPTIONS`, or the map of a given observer.
 
     Parameters
     ----------
     choice
-        Observer; or the name of a perceptual map and, for maps that need one, its argument, such as
-        a file.
+        Observer, or the name of a perceptual map. For some maps, the text also contains an
+        argument, such as a file.
     rng
         Random generator of the sensory noise of the person.
     force_limit_N

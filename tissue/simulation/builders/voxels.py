@@ -49,16 +49,16 @@ if TYPE_CHECKING:
     from meshes.surfaces.surface import Surface
 
 DENSE_BYTES_PER_VOXEL = 18
-"""Peak memory per voxel of the region [bytes], measured on the glenoid.
+"""Peak memory per voxel of the simulated region [bytes], measured for the scene of the glenoid.
 
 The peak occurs while bricks (blocks of voxels) are made and results are written.
 """
 MOST_KEPT = 1e7
-"""Largest number of voxels of a volume that is kept for the next run (60 MB)."""
+"""Largest number of voxels of a volume that stays in memory for the next run (60 MB)."""
 _volumes: Kept[VoxelVolume] = Kept(2)
-"""Volumes of procedural bone, keyed by parameters, region and guide hole."""
+"""Cached volumes of procedural bone, keyed by parameters, region and guide hole."""
 NO_SHAPE = {"kind", "guide_hole_diameter_mm", "guide_hole_depth_mm"}
-"""Keys of an anatomy that do not change its shape."""
+"""Keys of an anatomy that do not change the shape of the bone."""
 
 
 def volume_of(
@@ -107,15 +107,14 @@ def volume_of(
 
 
 def is_procedural(parameters: CutAnatomy) -> bool:
-    """Return whether an anatomy is procedural: a function of position, not from a file."""
+    """Return True if an anatomy is a function of position and is not read from a file."""
     return type(parameters) in PROCEDURAL
 
 
 def structures(parameters: CutAnatomy) -> Mapping[str, sdf.Shape]:
-    """Return the structures of a procedural anatomy that a scene can protect from the tool, keyed
-    by name.
+    """Return the structures that a scene can protect from the tool, keyed by name.
 
-    An anatomy from files has no structures of this form.
+    The structures are functions of position. Only procedural anatomies have such structures.
     """
     return anatomy_of(parameters, {}).structures if is_procedural(parameters) else {}
 
@@ -151,7 +150,7 @@ PROCEDURAL: dict[type[CutAnatomy], Callable[..., Anatomy]] = {
 
 
 def anatomy_of(parameters: CutAnatomy, notes: dict[str, str]) -> Anatomy:
-    """Return the procedural bone, or the bone of a file, placed at its site."""
+    """Return the procedural bone, or the bone read from a file, in the frame of the scene."""
     if isinstance(parameters, MolarSurfaces):
         anatomy = layered_surfaces(
             parameters.layer_files,
@@ -168,9 +167,9 @@ def anatomy_of(parameters: CutAnatomy, notes: dict[str, str]) -> Anatomy:
 
 
 def names_of_anatomy(parameters: CutAnatomy) -> AbstractContextManager[None]:
-    """Replace argument names in error messages of geometry functions by keys of the scene.
+    """Return a context in which error messages of geometry functions contain keys of the scene.
 
-    Geometry functions know the names of their arguments, but not the keys of a scene.
+    Without this context, these messages contain the names of the functions' arguments.
     """
     keys = {name: f"anatomy.{name}" for name in type(parameters).model_fields}
     names = dict.fromkeys(FILE_WORDS, "anatomy.file") | keys
@@ -187,7 +186,8 @@ def names_of_anatomy(parameters: CutAnatomy) -> AbstractContextManager[None]:
 def _guide_hole(scene: Scene, motion: Motion) -> sdf.Shape | None:
     """Return the hole that guides the peg of a tool; None if the scene has no hole.
 
-    The hole lies along the first direction of the tool's axis, from above the face to its depth.
+    The axis of the hole is the tool's axis at the start. The hole extends from above the surface of
+    the bone to the depth that the scene gives.
     """
     diameter, depth = (1e-3 * size for size in scene.bone.guide_hole_mm)
     if diameter == 0.0 or depth == 0.0:
@@ -216,7 +216,7 @@ def _covered(region: Corners, bone: Corners, spacing: float) -> Corners:
 
 
 def _require_memory(region: Corners, bone: Corners, spacing: float) -> None:
-    """Refuse a grid that does not fit in the free memory."""
+    """Raise an error if a grid of voxels does not fit in the free memory."""
     import psutil
 
     def needed(size: float) -> float:
@@ -238,7 +238,7 @@ def _require_memory(region: Corners, bone: Corners, spacing: float) -> None:
 
 
 def bone_from_file(parameters: Placed, notes: dict[str, str]) -> Anatomy:
-    """Return the bone of a surface or image, placed at its site."""
+    """Return the bone of a surface file or image file, in the frame of the scene."""
     from meshes.images.bone_image import image_cuts, image_triangles
     from meshes.images.reading import read_image
     from meshes.surfaces.glenoid import surface_anatomy
@@ -300,7 +300,10 @@ def _filled(parameters: Bone, surface: "Surface", site: "Site") -> Anatomy:
 
 
 def whole_image(parameters: BlockImage, *, spacing_mm: float, notes: dict[str, str]) -> VoxelVolume:
-    """Return the bone of an image that is not moved to a site. The top of the bone is at z = 0."""
+    """Return the bone of an image that is not moved to a site.
+
+    The top of the bone is at z = 0.
+    """
     from meshes.images.bone_image import image_volume
     from meshes.images.reading import read_image
 
@@ -327,8 +330,7 @@ def labelled_tooth(
 ) -> VoxelVolume:
     """Read a tooth from a label volume.
 
-    If `region` is given, only the part within this box is read. The box is in the frame of the site
-    [m].
+    If `region` is given, only the part within this box [m], in the frame of the scene, is read.
     """
     remarks: list[str] = []
     file = Path(parameters.file)
@@ -351,10 +353,10 @@ def labelled_tooth(
 
 
 def _site(parameters: Placed, surface: "Surface") -> "Site":
-    """Return the site on a bone surface.
+    """Return the site on a bone surface: the place where the tool works, and its axes.
 
-    The scene gives the site. If the scene gives no normal for a glenoid, the site is found by a
-    search for the glenoid on the surface.
+    The scene gives the position and the normal of the site. For a glenoid without a given normal,
+    the function searches for the glenoid on the surface.
     """
     from meshes.surfaces.landmarks import find_glenoid
     from meshes.surfaces.site import place_site
@@ -399,7 +401,7 @@ def _read_tooth(
 ) -> label_volume.LabelledTooth:
     """Read the tooth of a label volume, and keep the result for the next call.
 
-    The result is kept because the tool and the stress model need the same tooth.
+    The result is kept in memory, because the tool and the stress model need the same tooth.
     """
     from meshes.ct.labels import header_names
     from meshes.images.reading import read_image
@@ -412,7 +414,7 @@ def _read_tooth(
 
 
 def _lesion(tooth: label_volume.LabelledTooth) -> str | None:
-    """Return a text with the extent of the caries of a whole tooth, in the frame of the site.
+    """Return a text with the extent of the caries of a whole tooth, in the frame of the scene.
 
     The text helps to place a motion at the caries. The result is None for a tooth without caries.
     """

@@ -1,7 +1,7 @@
 """Publication of a live run for ROS 2 and for 3D Slicer, each in a separate process.
 
-The process begins and ends with the run. The thread of the ticks checks that the process is still
-running.
+The process begins and ends with the run. The thread that runs the ticks checks that the process
+still exists.
 """
 
 import socket
@@ -32,15 +32,15 @@ PORT = 18944
 LOCAL = "127.0.0.1"
 EVENTS = 64
 EVENT_BYTES = 256
-"""Largest size of an event [bytes]; `EVENTS` is the number of events that are kept.
+"""Largest size of the text of an event [bytes]; `EVENTS` is the number of stored events.
 
-Events are kept until they are sent. Their memory is shared between processes, so its size is fixed.
-A run reports few events per second.
+Events are stored until the other process has sent them. They are in memory that two processes
+share, so their size is fixed. A run reports few events per second.
 """
 
 
 class PublishingProcess(WindowProcess):
-    """Process that receives a run and publishes it on topics of ROS 2, with the names of CRTK."""
+    """Process that publishes a live run on topics of ROS 2, with the topic names of CRTK."""
 
     process = "ros2"
     place = "must publish the run for ROS 2"
@@ -48,14 +48,14 @@ class PublishingProcess(WindowProcess):
     shows_tissue = False
 
     def note(self) -> str:
-        """Return a part of a sentence about the published data."""
+        """Return text that completes a sentence about the published data."""
         return f"published {int(self.frames)} times as {self.address}"
 
 
 class Publisher(RunObserver):
     """Observer that publishes a live run on topics of ROS 2.
 
-    The ticks never wait for the publishing process, and continue if that process ends.
+    The ticks never wait for the process that publishes. If this process ends, the run continues.
 
     Parameters
     ----------
@@ -65,11 +65,11 @@ class Publisher(RunObserver):
     Attributes
     ----------
     note
-        Text about the published data, available after the run.
+        Text about the published data; set after the run.
     """
 
     what = "publishing for ROS 2"
-    """Name of the process in the event that reports its end."""
+    """Description of the process in the event that reports its unexpected end."""
     ends_run = False
     """True if the end of the process also ends the run."""
 
@@ -82,13 +82,13 @@ class Publisher(RunObserver):
         self._skipped_us = 0.0
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Start to publish."""
+        """Start the process that publishes."""
         self._process = PublishingProcess(self._scene, parts, columns)
 
     def _clock(self, times: Array) -> Clock:
         """Return duration and lateness of a tick [µs], missed deadlines and skipped time [ms].
 
-        The last two columns of the timing are the lateness of a tick and the skipped time [µs].
+        The last two columns of the timing must be the lateness of a tick and the skipped time [µs].
         """
         tick_us, late_us, skipped_us = times[[0, -2, -1]].tolist()
         self._missed += tick_us + late_us > DEADLINE_US
@@ -96,7 +96,7 @@ class Publisher(RunObserver):
         return tick_us, late_us, float(self._missed), 1e-3 * self._skipped_us
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Publish the tick; return whether the run continues."""
+        """Publish the tick; return True if the run continues."""
         if self._process is None:
             return True
         self._process.show(index, row, self._clock(times))
@@ -108,7 +108,7 @@ class Publisher(RunObserver):
         return True
 
     def on_end(self) -> Events:
-        """End the process."""
+        """End the process that publishes."""
         if self._process is not None:
             process = self._process
             self._process = None
@@ -145,12 +145,12 @@ class SlicerLink:
     Attributes
     ----------
     port
-        Port of this machine through which the run is published; 0 for any free port.
+        Port of this computer on which 3D Slicer can connect; 0 for any free port.
     drives
-        Whether the transform ``tissue-target`` of a client moves the tool.
+        Whether the tool follows the transform ``tissue-target`` that a client sends.
     opened
-        Function that is called with address and port when a client can connect, before the first
-        tick.
+        Function that is called with address and port before the first tick, when a client can
+        connect.
     """
 
     port: int = PORT
@@ -159,13 +159,13 @@ class SlicerLink:
 
 
 def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
-    """Refuse an unusable port, or a second source of tool motion, before the scene is built.
+    """Check, before the scene is built, that the port and the source of tool motion can be used.
 
     Raises
     ------
     InputError
-        If the port does not exist or another program uses the port. The error is also raised if the
-        link should move the tool and a page or a real device also moves the tool.
+        If the port does not exist or another program uses the port. The error is also raised if a
+        client is to move the tool, but a page or a real device also moves it.
     """
     mover = "--web" if web else scene.held.kind if opens_device(scene) else None
     if link.drives and mover is not None:
@@ -190,7 +190,7 @@ def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
 class SlicerProcess(WindowProcess):
     """Process that publishes a run for 3D Slicer and receives tool poses from a client.
 
-    The ticks send rows and events to this process.
+    The thread that runs the ticks sends rows of the trace and events to this process.
 
     Parameters
     ----------
@@ -240,8 +240,9 @@ class SlicerProcess(WindowProcess):
         )
 
     def target(self) -> tuple[Triple, Quaternion] | None:
-        """Return the tool position [m] and rotation that a client requests; None if there is no new
-        request.
+        """Return the tool position [m] and rotation that a client requests; None without a request.
+
+        A request is returned only once.
 
         The rotation is relative to the first orientation of the tool.
         """
@@ -262,7 +263,7 @@ class SlicerProcess(WindowProcess):
         self._events_count[0] += 1
 
     def note(self) -> str:
-        """Return a part of a sentence about the clients and the messages that they received."""
+        """Return text that completes a sentence about the clients and their received messages."""
         sent, clients, refused, ignored = self.arrays["counts"].tolist()
         words = [
             f"published at {self.address} by OpenIGTLink: {sent} messages to {clients} clients"
@@ -284,8 +285,8 @@ class SlicerPublisher(Publisher):
     link
         Port, and whether a client drives the tool.
     mouse
-        Device that the transform of a client moves; None if no client moves the tool. With such a
-        device, the run ends when the link ends.
+        Device that the transform of a client moves; None if no client moves the tool. If a client
+        moves the tool, the run ends when the process that publishes ends.
     """
 
     what = "the link to 3D Slicer"
@@ -297,7 +298,7 @@ class SlicerPublisher(Publisher):
         self.ends_run = mouse is not None
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Start to publish, and report the address."""
+        """Start the process that publishes, and report its address."""
         self._start = parts.motion.sweep_m()[0]
         self._process = SlicerProcess(self._scene, parts, columns, self._link)
         if self._link.opened is not None:

@@ -38,9 +38,9 @@ from tissue.system.child import process_module
 from tissue.system.offscreen import await_display, display_problem
 
 LONGEST_S = 600.0
-"""Default duration of a run that the mouse moves [s]; the trace of such a run is kept in memory.
+"""Default duration of a run in which the mouse moves the tool [s].
 
-The trace of 600,000 rows and 60 columns takes 0.3 GB.
+The trace of such a run stays in memory. With 600,000 rows and 60 columns, it takes 0.3 GB.
 """
 ROAM_MM = 8.0
 ROAM_ON_WALL_MM = 40.0
@@ -51,13 +51,13 @@ This distance is used for the test wall, which has no edge. For all other tissue
 was chosen by judgement.
 """
 LOOK_S = 0.01
-"""Time between two checks while the run waits [s].
+"""Time between two checks of the window while a run is paused or waits for the window [s].
 
 A user does not notice this delay, and the checks use almost no processor time.
 """
 STALLED_S = 3.0
 HELD_S = 60.0
-"""Longest time for which a run waits for a window that draws no pictures [s].
+"""Longest time for which a run waits for a window that does not respond [s].
 
 The run begins to wait after `STALLED_S` without a picture. A window draws 30 pictures per second,
 and a busy machine does not delay a picture by 3 s. Both values were chosen by judgement.
@@ -71,13 +71,13 @@ class LiveSettings:
     Attributes
     ----------
     duration_s
-        Duration of a run that the mouse moves [s]. With None, the run lasts until the window is
-        closed, at most 600 s. The scene sets the duration of a scripted run.
+        Duration of a run in which the mouse moves the tool [s]. With None, the run lasts until the
+        window is closed, at most 600 s. The scene sets the duration of a scripted run.
     opened
-        Function that is called once with the address of a page in a browser. If the function is
-        given, this page shows the run instead of a window. The ticks wait until the page is open.
-        The user of the page can reset the run: the same scene is then simulated again from its
-        start. The rows of the previous run are kept until the rows of the next run replace them.
+        Function that is called once with the address of a web page. If the function is given, this
+        page shows the run, and no window opens. The ticks wait until the page is open. The user of
+        the page can reset the run: the same scene is then simulated again from its start. In an
+        output folder, the rows of the new run then replace the rows of the previous run.
     slicer
         Settings for publication to 3D Slicer, see `docs/guide/slicer.md`. No window opens if a
         client of 3D Slicer moves the tool.
@@ -96,7 +96,7 @@ class LiveSettings:
         return self.slicer is not None and self.slicer.drives
 
     def mover(self, scene: Scene) -> tuple[bool, str]:
-        """Return True if a pointer or 3D Slicer moves the tool, and a sentence about the mover."""
+        """Return True if a pointer or 3D Slicer moves the tool, and a sentence on what moves it."""
         if self.by_slicer:
             return True, (
                 "the transform tissue-target of 3D Slicer moves the tool; it feels nothing, the "
@@ -117,15 +117,15 @@ class LiveSettings:
         return False, f"no window, for {problem}: {script}"
 
     def check(self, scene: Scene) -> None:
-        """Check that everything the settings request is available.
+        """Check that the display, page, port and packages that the settings request are available.
 
         Raises
         ------
         InputError
             If the display does not respond, a page cannot be served or is requested with a real
             device, or the port for 3D Slicer is in use. The error is also raised if 3D Slicer and
-            another source would move the tool, ROS 2 is not installed, or the installed package
-            lacks a process of the live run.
+            another source would move the tool, ROS 2 is not installed, or the installed package has
+            no entry point for a process of the live run.
         """
         if self.slicer is not None:
             require_link(self.slicer, scene, web=self.opened is not None)
@@ -155,13 +155,14 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
 
     Without a display, the scripted motion or a simulated hand moves the tool.
 
-    If the scene names a real device that can be opened, that device is used without a window.
-    Otherwise the mouse replaces the device of the scene, and the spring of the coupling connects
-    the tool to the mouse. The trace and the window contain the forces that the device would play.
-    In a scene without a device, the mouse replaces a device of kind ``touch``. A tick misses its
+    If the scene names a real device, this device is used and no window opens. Otherwise the mouse
+    replaces the device of the scene. The spring of the coupling then connects the tool to the
+    mouse. Trace and window show the forces that the replaced device would apply to the hand. In a
+    scene without a device, the mouse replaces a device of kind ``touch``. A tick misses its
     deadline if it is not complete 1 ms after it was due. See `WallClock` for late ticks. The
-    priority of the ticks is raised as far as the system allows; see the note ``priority``. Ctrl-C
-    or closing the window ends the run. The function returns a run, as `simulate` does.
+    priority of the ticks is raised as far as the system allows. The note ``priority`` of the run
+    reports the priority. Ctrl-C or closing the window ends the run. The function returns the run,
+    like `tissue.simulate`.
 
     Parameters
     ----------
@@ -171,8 +172,8 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
         Settings of the live run.
     settings
         As for `tissue.simulation.simulate.simulate`. With a mouse, the loop cannot be unstable,
-        because a mouse plays no force. If a window opens, the default of ``cores`` leaves one core
-        for the window.
+        because a mouse applies no force. If a window opens, the default of ``cores`` leaves one
+        core for the window.
 
     Raises
     ------
@@ -242,7 +243,7 @@ class LiveObserver(Paced):
     scene
         Scene of the run.
     mouse
-        Device that the pointer of the window moves; None for no window.
+        Device that the pointer in the window moves; None if no window opens.
     page
         Page that shows the run instead of a window on the display. The page stays open after the
         run.
@@ -271,7 +272,7 @@ class LiveObserver(Paced):
         self._start = np.zeros(3)
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
-        """Open the window; from now on, Ctrl-C ends the run after the current tick."""
+        """Open the window, and make Ctrl-C end the run after the current tick."""
         if self._mouse is not None:
             self._start = parts.motion.sweep_m()[0]
             show = WindowProcess if self._page is None else self._page.show
@@ -296,7 +297,7 @@ class LiveObserver(Paced):
                 push(self._mouse, pointed, self._start, self._scene.motion_scale)
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
-        """Record the lateness of a tick and show the tick; return whether the run continues."""
+        """Record the lateness of a tick and show the tick; return True if the run continues."""
         late = 1e6 * self._clock.late_s
         skipped = 1e6 * self._clock.skipped_s
         times[-2:] = late, skipped
@@ -339,8 +340,9 @@ class LiveObserver(Paced):
             self._events.append((index * TICK_S, f"the run was paused for {waited_s:.1f} s"))
 
     def _hold(self, window: WindowProcess, index: int) -> None:
-        """Wait while the window draws no pictures, because the user can neither see nor move the
-        tool.
+        """Wait while the window does not respond.
+
+        The reason is that the user can then neither see nor move the tool.
         """
         now = perf_counter()
         if window.frames != self._frames:
@@ -358,7 +360,7 @@ class LiveObserver(Paced):
         self._events.append((index * TICK_S, what))
 
     def on_end(self) -> Events:
-        """Close the window, restore Ctrl-C and return the events; see `Motion.happened`."""
+        """Close the window, restore the effect of Ctrl-C, and return the observer's events."""
         if self._handler is not None:
             signal.signal(signal.SIGINT, self._handler)
             self._handler = None

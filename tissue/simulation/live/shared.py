@@ -1,7 +1,7 @@
-"""Arrays of a tissue that two processes share, and the surface drawn by the second process.
+"""Arrays with which the process of a run shares its tissue with the process of the window.
 
-The arrays are in a file that stays in memory if the system supports this. The update of the arrays
-takes some microseconds per tick.
+The arrays are in a file. If the system supports it, the file exists only in memory. The update of
+the arrays takes some microseconds per tick.
 """
 
 import json
@@ -32,14 +32,14 @@ MEMORY = Path("/dev/shm")
 On other systems the folder for temporary files is used.
 """
 TRIES = 20
-"""Number of attempts to read an array.
+"""Number of attempts to read an array while the other process is writing it.
 
-A write takes some microseconds. If all attempts fail, the writing process has ended.
+A write takes some microseconds. If all attempts fail, the writing process has probably ended.
 """
 ALIGNED = 64
 """Alignment of each array [bytes]: one cache line."""
 TURN_TICKS = 200
-"""Number of ticks in which each brick (block of voxels) of a bone is copied once.
+"""Number of ticks in which every brick (block of voxels) of a bone is copied once.
 
 Each tick copies only 1/200 of the bricks, so the picture of the bone is updated five times per
 second.
@@ -49,16 +49,17 @@ MOVED_TICKS = 33
 MOST_SHOWN = 600_000
 """Largest number of blocks of voxels that the window shows.
 
-If a bone has more blocks, larger blocks are shown.
+A block has 2 x 2 x 2 voxels. If a bone has more blocks, the window shows blocks of 4 x 4 x 4
+voxels.
 
-The larger blocks consist of 4 x 4 x 4 voxels instead of 2 x 2 x 2. The surface of 600,000 blocks
-takes 29 ms, less than the 33 ms between two pictures.
+Computing the surface of 600,000 blocks takes 29 ms, less than the 33 ms between two pictures.
 """
 Start = Mapping[str, NDArray[Any]]
 FADES_MM = 20.0
-"""Distance over which the shown displacement decreases by a factor of e [mm].
+"""Distance over which the displacement of a drawn organ decreases by a factor of e [mm].
 
-It decreases with the distance from the nodes whose displacement is known.
+The displacement is known only at some nodes of the surface. Elsewhere, the drawn displacement
+decreases with the distance from these nodes.
 
 The value was chosen for the appearance of the picture. No force depends on it.
 """
@@ -69,16 +70,16 @@ class SharedArrays:
 
     Access to the arrays needs no system call.
 
-    `write` and `read` are for arrays that must be read as a whole: `read` tries again while a write
-    is in progress. Each array has one writer.
+    The methods `write` and `read` are for arrays that must not be read during a write: `read` tries
+    again while a write is in progress. Only one of the processes may write an array.
 
     Parameters
     ----------
     folder
-        Folder of the file. The process that makes the file gives ``layout``; the other process
-        reads the layout from this folder.
+        Folder of the file.
     layout
-        Arrays to make; their initial values are zero.
+        Arrays to make, initially zero. The process that makes the file gives the layout. The other
+        process passes None and reads the layout from the folder.
     """
 
     def __init__(self, folder: Path, layout: Layout | None = None) -> None:
@@ -111,10 +112,9 @@ class SharedArrays:
         return self._arrays[name]
 
     def write(self, name: str, values: AnyArray) -> None:
-        """Write an array as a whole.
+        """Write an array so that the other process cannot read a half-written array.
 
-        A second array, whose name has the suffix ``_turn``, is a counter. The counter is odd while
-        a write is in progress.
+        A counter with the same name and the suffix ``_turn`` is odd while a write is in progress.
         """
         turn = self._arrays[f"{name}_turn"]
         turn[0] += 1
@@ -122,7 +122,7 @@ class SharedArrays:
         turn[0] += 1
 
     def read(self, name: str) -> tuple[int, NDArray[Any]] | None:
-        """Return the number of writes so far, and a copy of the whole array.
+        """Return the number of writes so far, and a copy of the array after a complete write.
 
         The result is None if the writer was busy or has ended during a write.
         """
@@ -140,7 +140,7 @@ class SharedArrays:
 class SharedTissue:
     """Shared arrays of a tissue.
 
-    A tissue that can be drawn from scene and trace alone, such as a wall, has no shared arrays.
+    If the scene and the trace are enough to draw a tissue, such as a wall, it has no shared arrays.
 
     Attributes
     ----------
@@ -158,11 +158,11 @@ class SharedTissue:
         self.start = {}
 
     def publish(self, arrays: "SharedArrays", index: int) -> None:
-        """Update a part of the arrays at the end of a tick."""
+        """Copy some data of the tissue into the shared arrays, at the end of a tick."""
 
 
 class BoneShared(SharedTissue):
-    """Bricks (blocks of 8 x 8 x 8 voxels) of a bone; each tick copies a part of the bricks.
+    """Shared arrays of a bone; each tick copies some bricks (blocks of 8 x 8 x 8 voxels).
 
     The copy of a brick is at most `TURN_TICKS` ticks old.
 
@@ -218,7 +218,7 @@ class BoneShared(SharedTissue):
 
 
 class OrganShared(SharedTissue):
-    """Displacement of the touchable part of the surface of a soft organ.
+    """Shared arrays of a soft organ: displacement of the part of its surface that can be touched.
 
     Parameters
     ----------
@@ -279,7 +279,7 @@ class BoneSurface:
     surface
         Surface [mm], with normals. It has no cells if no bone is left.
     volume
-        Blocks of voxels. Their content is updated with the bone.
+        Volume of blocks, each of several voxels, whose content follows the bone of the run.
     """
 
     def __init__(self, start: Start, arrays: SharedArrays) -> None:
@@ -299,7 +299,7 @@ class BoneSurface:
         self.surface: pyvista.PolyData = bone_surface(self.volume, self._fraction)
 
     def update(self) -> bool:
-        """Update the surface; return whether a brick has changed."""
+        """Update the surface; return True if a brick has changed."""
         now = self._remaining.copy()
         rows = np.flatnonzero((now != self._seen).any(axis=1))
         if not rows.size:
@@ -310,7 +310,7 @@ class BoneSurface:
         return True
 
     def _fill(self, rows: NDArray[np.intp]) -> None:
-        """Update the blocks of some bricks."""
+        """Update the content of the blocks in some bricks."""
         from kernels.bricks import BRICK
 
         block = self._block
@@ -339,7 +339,7 @@ class OrganSurface:
     Attributes
     ----------
     surface
-        Surface [mm], whose points move.
+        Surface [mm], whose points move with the organ.
     touchable_mm
         Points of the undeformed surface that can be touched [mm], shape (n, 3).
     """
@@ -365,7 +365,7 @@ class OrganSurface:
         self.touchable_mm: Array = self._rest[self._row >= 0]
 
     def update(self) -> bool:
-        """Update the surface; return whether it has moved."""
+        """Update the surface; return True if the displacement has changed."""
         message = self._arrays.read("moved")
         if message is None or message[0] == self._turn:
             return False
@@ -380,9 +380,9 @@ class OrganSurface:
         return True
 
     def _spread(self, known: Flags) -> None:
-        """Find the nearest point with known displacement for each point of the surface.
+        """Find, for each point of the surface, the nearest point with a known displacement.
 
-        The share of this displacement that is shown is also computed.
+        Also compute the share of that displacement with which the point is drawn.
         """
         from scipy.spatial import cKDTree
 

@@ -1,4 +1,4 @@
-"""Window of a live run, in a separate process that receives rows and returns pointer positions."""
+"""Window of a live run in a separate process, which returns positions of the pointer."""
 
 import json
 import os
@@ -33,11 +33,11 @@ from tissue.system.child import await_ready, child_command, process_module
 from tissue.system.offscreen import REMEDY, drawing_environments
 
 CLOCK = ("tick_us", "late_us", "missed", "skipped_ms")
-"""Names of the clock values that a window receives."""
+"""Names of the clock values that the process of the window receives in each tick."""
 LOAD = ("time_s", *components("model_force", "N"))
-"""Columns of the trace that a window plots."""
+"""Columns of the trace that a window plots over time."""
 ROW_TICKS = 8
-"""Ticks between two rows that a window receives: four rows for each of 30 pictures per second."""
+"""Ticks between two rows that a window receives, so that each picture has about four new rows."""
 LOADS = 1024
 """Number of rows of time and force that are kept for the plots of a window (8 s)."""
 COLOURS = re.compile(r"\x1b\[[0-9;]*m")
@@ -58,7 +58,7 @@ COUNTERS = (
     "resets",
     "runs",
 )
-"""Names of numbers that both processes share: counters, and states of the window and the run."""
+"""Names of the counters and states that the processes of window and run share."""
 
 ABOVE_M = 0.02
 BELOW_M = 0.01
@@ -92,7 +92,7 @@ def push(
     *,
     turn: Quaternion = UPRIGHT,
 ) -> None:
-    """Move a mouse so that the tool goes to a position [m].
+    """Move a mouse device so that the tool moves to the position ``pointed_m`` [m].
 
     The tool moves `scale` times as far as the mouse.
     """
@@ -103,36 +103,37 @@ def push(
 class WindowProcess:
     """Window that shows a live run and reports the tool position that the pointer requests.
 
-    The window runs in a process of its own. The ticks never wait for it, because both processes map
-    the same memory. Ctrl-C does not interrupt the window. The window closes when the ticks end.
+    The window runs in a separate process. The ticks never wait for this process, because both
+    processes map the same memory. Ctrl-C does not interrupt the window. The window closes when the
+    ticks end.
 
     Parameters
     ----------
     scene, parts
-        Scene and parts of the run.
+        Scene of the run, and the objects that simulate the scene.
     columns
         Names of the columns of the trace.
     environment
-        Additional environment variables of the process.
+        Additional environment variables for the process of the window.
     more_layout, more_start
-        Additional arrays that both processes share, and additional arrays that the process of the
-        window needs at its start.
+        Additional arrays that change during the run, and additional arrays that the window needs at
+        its start.
 
     Attributes
     ----------
     arrays
         Arrays that both processes share.
     address
-        Address that the process reports; empty for a window on the display.
+        Address of the page that the process serves; empty for a window on the display.
 
     Raises
     ------
     InputError
-        If the installed package lacks this process, or the window does not open.
+        If the installed package has no entry point for this process, or the window does not open.
     """
 
     process = "window"
-    """Entry point in the group ``tissue.processes``."""
+    """Name of the entry point, in the group ``tissue.processes``, that runs the window."""
     place = "must open its window where there is a display"
     remedy = "fix the display, or unset DISPLAY to run without a window"
     shows_tissue = True
@@ -255,7 +256,7 @@ class WindowProcess:
         return 1e-3 * float(x), 1e-3 * float(y), 1e-3 * float(z)
 
     def show(self, index: int, row: Array, clock: tuple[float, float, float, float]) -> None:
-        """Send the values of a tick to the window: row of the trace, and clock (see `CLOCK`)."""
+        """Send the trace row and the clock values (see `CLOCK`) of a tick to the window."""
         if index % ROW_TICKS == 0:
             self._row[: len(row)] = row
             self._row[len(row) :] = clock
@@ -285,7 +286,7 @@ class WindowProcess:
 
 
 class PageProcess(WindowProcess):
-    """Window in a browser, whose process draws off screen and serves a page."""
+    """Window in a browser: the process draws off screen and serves a web page."""
 
     process = "page"
     place = "must serve its page"
@@ -293,12 +294,13 @@ class PageProcess(WindowProcess):
 
 
 class Page:
-    """Page of a live run; the process of the page starts with the first run that is shown.
+    """Web page of live runs, served by a process that starts with the first run.
 
     Parameters
     ----------
     opened
-        Function that is called once with the address of the page, which contains a random token.
+        Function that is called once with the address of the page. The address contains a random
+        token.
     """
 
     def __init__(self, opened: Callable[[str], object]) -> None:
@@ -316,7 +318,7 @@ class Page:
         Raises
         ------
         InputError
-            If this machine can neither draw nor serve the page.
+            If this computer cannot draw the page or cannot serve it.
         """
         if self._process is not None:
             self._process.begin_again(parts)
@@ -343,7 +345,7 @@ class Page:
 
 
 def require_web() -> None:
-    """Refuse a page if the package for its server is not installed.
+    """Check that the package that serves a page is installed.
 
     Raises
     ------
