@@ -88,13 +88,12 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
     measures: dict[str, list[str]] = {}
     for name in run.parts.tissue.measure_names:
         measures.setdefault(field_label(name)[1], []).append(name)
-    # inches per panel at about 1.3: the force has the tallest panel, as it holds the names of
-    # layers
-    heights = [2.2, *([1.0] * len(measures))]
-    # 3.55 in: the panel of the force, title, and label of the axis
+    # units of 1.3 in; the force has the tallest panel
+    heights = [2.2, *(1.0 if len(names) == 1 else 1.8 for names in measures.values())]
+    # 0.69 in: title and label of the axis
     chart, panels = panelled(
         f"{run.scene.name}: force on the tool where its tip is first at each depth",
-        (8.0, 3.55 + 1.3 * len(measures)),
+        (8.0, 0.69 + 1.3 * sum(heights)),
         len(heights),
         sharex=True,
         height_ratios=heights,
@@ -107,12 +106,13 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
     label = "along the tool's axis, outward"
     panels[0].plot(depth, along, color=COMPONENTS[0], linestyle=(0, (4, 2)), label=label)
     panels[0].set_ylabel("force / N")
+    colours = ("0.1", *COMPONENTS, "#CC79A7", "#56B4E9")
     for axes, names in zip(panels[1:], measures.values(), strict=True):
-        for name, colour in zip(names, ("0.1", *COMPONENTS, "#CC79A7"), strict=False):
+        for name, colour in zip(names, colours, strict=False):
             axes.plot(depth, trace[name][rows], color=colour, label=field_label(name)[0])
         axes.set_ylabel(field_words(*names).replace(" / ", "\n/ "))
         if len(names) > 1:
-            axes.legend(ncols=len(names), loc="best")
+            axes.legend(ncols=3, loc="best", fontsize=8)
     _shade(run, panels, depth, rows, size)
     plain(panels)
     panels[-1].set_xlim(depth[0], depth[-1])
