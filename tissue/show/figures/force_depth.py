@@ -112,7 +112,7 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
             axes.plot(depth, trace[name][rows], color=colour, label=field_label(name)[0])
         axes.set_ylabel(field_words(*names).replace(" / ", "\n/ "))
         if len(names) > 1:
-            axes.legend(ncols=3, loc="best", fontsize=8)
+            axes.legend(ncols=2, loc="best", fontsize=8)
     _shade(run, panels, depth, rows, size)
     plain(panels)
     panels[-1].set_xlim(depth[0], depth[-1])
