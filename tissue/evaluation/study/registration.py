@@ -218,9 +218,10 @@ def notes_before(plan: Plan) -> list[str]:
     # the measured signs and their opposites reach the statistic, of 2^people combinations
     smallest_p = 2.0 ** (1 - people)
     if len(plan.methods) > 1 and tests * smallest_p > ALPHA:
+        who = "1 person" if people == 1 else f"{people} people"
         needed = 1 + ceil(log2(tests / ALPHA))
         notes.append(
-            f"No test of methods can show an effect: with {people} people, its p value is at least "
+            f"No test of methods can show an effect: with {who}, its p value is at least "
             f"{smallest_p:.2g} ({min(1.0, tests * smallest_p):.2g} after Bonferroni's correction "
             f"for {tests} tests), and the level is {ALPHA:g}. Plan for {needed} people or more: "
             f"each of the first {USERS} trials of a group has another person"
