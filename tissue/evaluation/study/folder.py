@@ -346,11 +346,11 @@ def run_study(
         share = _done_share(plan, missing)
         for sentence in sentences:
             report(sentence, share)
-        for note in notes_before(plan) if missing else ():
-            report(note, share)
         # a scheduler's workers are other machines
         if missing and scheduler is None and report is not silent:
             report(expected_text(plan, missing, workers=count), share)
+        for note in notes_before(plan) if missing else ():
+            report(note, share)
         _run_trials(plan, missing, folder, count, scheduler, report)
         folder.write_tables()
     return folder
