@@ -17,6 +17,7 @@ def chart(
     out: Path | None = None,
     quick: Flag = False,
     trials: MaybeWhole = None,
+    predictor_file: Path | None = None,
     overwrite: Flag = False,
 ) -> None:
     """Measure and draw tick times and force errors of scenes, or errors of force predictors.
@@ -34,6 +35,9 @@ def chart(
         prediction.
     trials
         Only with prediction: number of test runs of each scene; default 30.
+    predictor_file
+        Only with prediction of one scene: file that `tissue train` wrote for this scene; default
+        the file that the scene names, or the built-in file.
     overwrite
         Replace the charts that the folder already holds.
     """
@@ -41,12 +45,15 @@ def chart(
         left_out("with prediction", "remove it", quick=quick)
         folder = out or Path("charts/prediction")
         runs = TRIALS if trials is None else trials
-        _prediction(what[1:] or TASKS, folder, trials=runs, overwrite=overwrite)
+        _prediction(
+            what[1:] or TASKS, folder, trials=runs, file=predictor_file, overwrite=overwrite
+        )
         return
     left_out(
         "unless predictors are charted",
         "add prediction before the scenes, or remove it",
         trials=trials,
+        predictor_file=predictor_file,
     )
     _scenes(what, out or Path("charts"), quick=quick, overwrite=overwrite)
 
@@ -63,15 +70,19 @@ def _scenes(names: Sequence[str], folder: Path, *, quick: bool, overwrite: bool)
     console.print(f"pictures and tables in {folder}")
 
 
-def _prediction(scenes: Sequence[str], folder: Path, *, trials: int, overwrite: bool) -> None:
+def _prediction(
+    scenes: Sequence[str], folder: Path, *, trials: int, file: Path | None, overwrite: bool
+) -> None:
     """Run `tissue chart prediction`."""
     from tissue.evaluation.charts.prediction import chart_prediction, comparison_lines, predictable
     from tissue.scene.load import load_scene
 
-    able, notes = predictable([load_scene(name) for name in scenes])
+    able, notes = predictable([load_scene(name) for name in scenes], file)
     for note in notes:
         console.print(note)
     with progress() as report:
-        found = chart_prediction(able, folder, trials=trials, overwrite=overwrite, report=report)
+        found = chart_prediction(
+            able, folder, trials=trials, file=file, overwrite=overwrite, report=report
+        )
     console.print(*comparison_lines(found), sep="\n")
     console.print(f"pictures and tables in {folder}")

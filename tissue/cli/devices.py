@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from meshes.base.errors import names_of_caller
+from meshes.base.errors import InputError, names_of_caller
 from tissue.cli.terminal import ADDRESS, Flag, console, left_out, problems
 
 if TYPE_CHECKING:
@@ -63,6 +63,7 @@ def devices(
 
 def _list() -> None:
     from tissue.haptics.real.adapter import devices as found_devices
+    from tissue.scene.registry import DEVICES
 
     with problems.status("looking for devices"):
         found = found_devices()
@@ -76,6 +77,9 @@ def _list() -> None:
     for each in found:
         if each.problem:
             console.print(f"{each.name:<15} {each.problem}")
+    for name in DEVICES:
+        if DEVICES[name].make is not None:
+            console.print(f"{name:<15} registered; opened in a run of a scene that names it")
 
 
 def _limits(found: "FoundDevice") -> str:
@@ -102,6 +106,13 @@ def _test(
     from tissue.scene.registry import DEVICES
 
     known = [each for each in DEVICES if DEVICES[each].has_adapter]
+    if name in DEVICES and DEVICES[name].make is not None:
+        raise InputError(
+            "--test",
+            f"name a device that tissue opens itself ({', '.join(known)})",
+            f"the registered device {name}",
+            f"use it in a run: tissue run SCENE --set device={name}",
+        )
     if name not in known:
         raise unknown_name("--test", known, name)
     if out is not None:

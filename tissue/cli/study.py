@@ -163,12 +163,15 @@ def register_plan(*, options: PlanOptions = PlanOptions(), out: Path | None = No
         Folder of the study; default studies/paper.
     """
     from tissue.evaluation.study.folder import StudyFolder
+    from tissue.evaluation.study.registration import notes_before
 
     plan = options.plan()
     out = out or Path("studies/paper")
     folder = StudyFolder(out)
     with folder.held(plan):
         pass
+    for note in notes_before(plan):
+        problems.print(note)
     newest = folder.registrations()[-1]
     console.print(f"{out / str(newest['file'])}, SHA-256 {newest['sha256']}")
     console.print(f"next: tissue study run with the same options, --out {out}")

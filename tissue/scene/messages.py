@@ -143,7 +143,9 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
             ", or remove the key from the scene file for its default. An override that changes a "
             "kind or a law removes the keys that no longer apply"
         )
-    if is_number and kind.startswith(("greater_than", "less_than")):
+    if is_number and kind == "less_than_equal" and got == fault["input"]:
+        remedy = f"use {context['le']:g} or less"
+    elif is_number and kind.startswith(("greater_than", "less_than")):
         remedy = remedy.replace("use ", "use a value in this range, such as ")
     # a value that is too small may be in metres
     if key.endswith("_mm") and kind.startswith("greater_than"):

@@ -5,7 +5,10 @@ The entry points are read once, when a name is unknown or all names are requeste
 
 import warnings
 from functools import cache
+from hashlib import sha256
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
+from pathlib import Path
 
 OFFERED = {
     f"tissue.{kind}s": kind
@@ -73,6 +76,24 @@ def offered_names() -> dict[str, list[str]]:
     The parts are not imported.
     """
     return {OFFERED[group]: [offer.name for offer in offers] for group, offers in _offers().items()}
+
+
+def package_of(group: str, name: str) -> str:
+    """Return the package that offers a part, with its version and the hash of its Python files.
+
+    The result is empty if no package offers the part.
+    """
+    offer = next((each for each in _offers().get(group, ()) if each.name == name), None)
+    spec = find_spec(offer.module.partition(".")[0]) if offer is not None else None
+    if offer is None or spec is None:
+        return ""
+    folders = [Path(each) for each in spec.submodule_search_locations or ()]
+    files = [path for folder in folders for path in sorted(folder.rglob("*.py"))]
+    digest = sha256()
+    for path in files or [Path(str(spec.origin))]:
+        digest.update(path.read_bytes())
+    # 16 digits distinguish versions of the code
+    return f"{_package(offer)}, SHA-256 {digest.hexdigest()[:16]}"
 
 
 def _refuse(offer: EntryPoint, cause: str) -> str:

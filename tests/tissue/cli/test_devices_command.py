@@ -13,7 +13,9 @@ import pytest
 from network_client import BYE, HELLO, UdpClient, packet, pose, read
 from vendor_doubles import ForceDimension, OpenHaptics, without
 
+from tissue import register
 from tissue.cli.main import main
+from tissue.scene.registry import DEVICES
 
 
 @pytest.fixture
@@ -66,6 +68,17 @@ def test_found_devices_come_first_with_their_limits(command, alone, monkeypatch)
         "openhaptics     Default Device  3D Systems Touch\n" in out
         and "no device is found" not in out
     )
+
+
+def test_a_registered_device_is_listed_and_not_tested(command, alone):
+    register.device("own-pen", {"mass_kg": 0.05, "damping_N_s_m": 0.5}, lambda start_m: None)
+    try:
+        code, out, _ = command("devices")
+        assert code == 0 and out.splitlines()[-1].split()[:2] == ["own-pen", "registered;"]
+        code, _, error = command("devices", "--test", "own-pen")
+        assert code == 2 and "got the registered device own-pen. Use it in a run" in error
+    finally:
+        DEVICES.remove("own-pen")
 
 
 class Device:

@@ -1,15 +1,18 @@
 """Study: predictors as methods, their colours, and the expected time of a run."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
 from tissue import register
-from tissue.evaluation.study import duration
+from tissue.evaluation.looks import METHOD_LOOKS, looks
+from tissue.evaluation.study import duration, registration
 from tissue.evaluation.study.duration import cost
+from tissue.evaluation.study.folder import StudyFolder
 from tissue.evaluation.study.plan import METHODS, TASKS, Plan, TrialKey, method_settings
 from tissue.evaluation.study.registration import plan_text
-from tissue.evaluation.study.section import COLOURS, colours_of
 from tissue.evaluation.study.trial import run_trial, trial_scene
 from tissue.scene.registry import PREDICTORS
 from tissue.system.progress import duration_text
@@ -71,9 +74,42 @@ def test_only_the_methods_of_the_plan_are_built(tmp_path):
 
 
 def test_methods_have_different_colours():
-    assert COLOURS.keys() == METHODS.keys()
-    colours = colours_of((*METHODS, "kalman", "linear"))
-    assert len(set(colours.values())) == len(METHODS) + 2
+    assert METHOD_LOOKS.keys() == METHODS.keys() - set(PREDICTORS)
+    built_in = {*METHODS, *PREDICTORS.built_in}
+    styles = looks(["own", "other", "third", "fourth"])
+    assert built_in <= styles.keys() and len(built_in) == 9
+    for index in (0, 1):
+        assert len({style[index] for style in styles.values()}) == len(styles)
+    # the style of a built-in method does not depend on the other methods
+    assert {name: looks()[name] for name in built_in} == {name: styles[name] for name in built_in}
+
+
+def test_a_study_that_cannot_show_an_effect_says_so_first(monkeypatch):
+    small = Plan(trials=3, tasks=("T1", "T2"), groups=("expert",), methods=("penalty", "koopman"))
+    (note,) = registration.notes_before(small)
+    # 2^(1 - 3), and 0.05 / 17 tests is above 2^(1 - 10)
+    assert "with 3 people, its p value is at least 0.25 (1 after" in note
+    assert "Plan for 10 people or more" in note
+    assert registration.notes_before(replace(small, trials=10)) == []
+    assert registration.notes_before(replace(small, tasks=("needle",))) == []
+    monkeypatch.setattr(registration, "find_spec", lambda name: None)
+    (note,) = registration.notes_before(replace(small, trials=10))
+    assert "contain no tests, because statsmodels is not installed" in note
+
+
+def test_a_study_refuses_another_version_of_a_registered_predictor(fading, monkeypatch, tmp_path):
+    version = ["my-package 0.1.0, SHA-256 00"]
+    monkeypatch.setattr(registration, "package_of", lambda group, name: version[0])
+    plan = Plan(trials=1, tasks=("T2",), groups=("expert",), methods=("penalty", fading))
+    folder = StudyFolder(tmp_path / "study")
+    plan_text.cache_clear()
+    folder.begin(plan)
+    plan_text.cache_clear()
+    assert 'fading = "my-package 0.1.0' in (folder.path / "plan.toml").read_text("utf-8")
+    assert folder.begin(plan) == []
+    version[0] = "my-package 0.1.0, SHA-256 11"
+    with pytest.raises(InputError, match=r"method fading must come from .*SHA-256 00.*SHA-256 11"):
+        folder.begin(replace(plan, trials=2))
 
 
 def test_the_expected_time_grows_with_trials_and_falls_with_workers(monkeypatch):

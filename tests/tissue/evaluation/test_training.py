@@ -1,12 +1,14 @@
 """Training: its trials, what it writes, the shipped predictors, and the latency that they hide."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
 from tissue import load_scene, simulate
+from tissue.evaluation.charts.prediction import predictable
 from tissue.evaluation.recorded_runs import Recorder, trial
 from tissue.evaluation.statistics.metrics import force_error
 from tissue.evaluation.training import validated, with_fallback
@@ -152,9 +154,22 @@ def test_training_again_gives_the_shipped_predictor(command, here):
     np.testing.assert_allclose(ours, theirs, rtol=0.05)  # another processor rounds otherwise
 
 
+def test_a_chart_takes_the_trained_file_of_one_scene(command, here):
+    own = load_scene("wall").model_copy(update={"name": "own-wall"})
+    with pytest.raises(InputError, match=r"tissue chart prediction own-wall --predictor-file own"):
+        predictable([own])
+    assert predictable([own], Path("own.npz")) == ([own], [])
+    with pytest.raises(InputError, match="--predictor-file must be given with one scene"):
+        predictable([own, load_scene("wall")], Path("own.npz"))
+    code, _, error = command("chart", "wall", "--predictor-file", "own.npz")
+    assert code == 2 and "--predictor-file must be left out unless predictors are charted" in error
+
+
 @pytest.mark.slow
 def test_a_chart_of_predictors(command, here):
-    code, output, _ = command("chart", "prediction", "wall", "--trials", "2", "--out", "chart")
+    file = str(shipped_file("wall"))
+    words = ("chart", "prediction", "wall", "--trials", "2", "--out", "chart")
+    code, output, _ = command(*words, "--predictor-file", file)
     assert code == 0 and "koopman" in output
     names = {path.name for path in (here / "chart").iterdir()}
     assert {"prediction_wall.png", "prediction_tasks.png", "errors.csv", "cost.csv"} <= names

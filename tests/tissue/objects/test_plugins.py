@@ -3,6 +3,7 @@
 They are found on request and refused one by one; everything else works without them.
 """
 
+import ast
 import json
 import subprocess
 import sys
@@ -96,6 +97,23 @@ print(json.dumps([found, scene_names(), offered_names(), [name for names in foun
 
 
 SPEAKS = "import sys\nprint('imported', file=sys.stderr)\n"
+
+
+def test_a_part_is_identified_by_version_and_code(tmp_path):
+    (tmp_path / "own").mkdir()
+    code = tmp_path / "own" / "__init__.py"
+    offer(tmp_path, "own-parts", {"tissue.predictors": {"flat": "own:Flat"}}, version="0.3.0")
+    ask = """
+from tissue.scene.plugins import package_of
+print([package_of("tissue.predictors", name) for name in ("flat", "flat", "hold")])
+"""
+    found = []
+    for text in ("A = 1\n", "A = 2\n"):
+        code.write_text(text)
+        first, again, missing = ast.literal_eval(python(ask, tmp_path)[0])
+        assert first.startswith("own-parts 0.3.0, SHA-256 ") and first == again and not missing
+        found.append(first)
+    assert found[0] != found[1]
 
 
 @pytest.mark.slow

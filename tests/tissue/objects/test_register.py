@@ -182,7 +182,7 @@ def test_a_device_is_opened_where_a_scene_names_it(command, here):
         and not np.any(device.commands[-1])
     )
     assert max(np.abs(force).max() for force in device.commands) > 0.2
-    assert "sprung in the hand of" in run.parts.notes["coupling"]
+    assert "sprung checked for the hand of" in run.parts.notes["coupling"]
     opened = Sprung.opened
     words = ("run", "wall", "--set", "device=sprung", "--no-pictures", "--out", "out")
     code, output, error = command(*words, "--duration-s", 0.1)

@@ -221,6 +221,7 @@ def test_the_text_none_leaves_stress_out(tmp_path):
         ({"tool.diameter_mm": "2..5mm"}, "Use 6"),
         ({"tool.diameter_mm": "--5mm"}, "Use 6"),
         ({"anatomy.size_mm": "8mm"}, "Use [20, 12, 8]"),
+        ({"device": "touch", "coupling.delay_ms": 4000}, "Use 200 or less"),
         ({"tool.diameter_mm": 0.022}, "Use a value in this range, such as 6, in mm"),
     ],
 )

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import cycle
 from pathlib import Path
 from time import perf_counter
 
@@ -13,6 +12,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import write_rows
+from tissue.evaluation.looks import looks
 from tissue.evaluation.recorded_runs import Recorder, Recording, trial
 from tissue.evaluation.statistics.intervals import Interval, mean_interval, signed_interval
 from tissue.evaluation.training import HORIZONS, MOST_TRIALS, forecast_errors
@@ -33,13 +33,6 @@ SHARES = (0.7, 1.3)
 The unseen runs use the two ratios in turn.
 """
 OURS = "koopman-look-ahead"
-OWN_COLOURS = ("#56B4E9", "#8C564B", "#000000", "#7570B3")
-OWN_MARKERS = ("X", "p", "h", "<", ">")
-"""Markers of registered predictors, in the order of registration; `OWN_COLOURS` holds the colours.
-
-No built-in predictor has one of these markers. Up to twenty registered predictors differ in colour
-or marker.
-"""
 DELAY_MS = 4
 """Latency of the loops in the unseen runs [ms], near the mean of 4.3 ms in the paper."""
 
@@ -70,7 +63,9 @@ class PredictorComparison:
         return signed_interval(self.errors[kind][:, HORIZONS.index(horizon_ms)])
 
 
-def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorComparison:
+def _compare(
+    scene: Scene, *, trials: int, file: Path | None, report: Progress
+) -> PredictorComparison:
     """Measure all predictors on unseen runs of a scene.
 
     Compared with training, these runs have other seeds, tissue that is 30 % softer or stiffer, and
@@ -81,8 +76,9 @@ def _compare(scene: Scene, *, trials: int, report: Progress) -> PredictorCompari
     InputError
         If the scene has no trained predictor or cannot be run.
     """
-    file = scene.predictor_file
-    trained = Trained.read(Path(file) if file else shipped_file(scene.name), scene=scene.name)
+    if file is None:
+        file = Path(scene.predictor_file) if scene.predictor_file else shipped_file(scene.name)
+    trained = Trained.read(file, scene=scene.name)
     device = device_parameters(trial(scene, 0).held.kind, scene.constants)
     limit_N = device.force_limit_N
     trained = trained.at_step(device.encoder_step_m)
@@ -125,28 +121,31 @@ def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
     return 1e6 * np.median(times), 1e6 * np.quantile(times, 0.99)
 
 
-def looks() -> dict[str, tuple[str, str]]:
-    """Return colour and marker of every predictor, by the name of the predictor."""
-    found = {kind: (PREDICTORS[kind].colour, PREDICTORS[kind].marker) for kind in PREDICTORS}
-    own = [kind for kind in found if kind not in PREDICTORS.built_in]
-    for kind, colour, marker in zip(own, cycle(OWN_COLOURS), cycle(OWN_MARKERS), strict=False):
-        found[kind] = (colour, marker)
-    return found
-
-
-def predictable(scenes: Sequence[Scene]) -> tuple[list[Scene], list[str]]:
+def predictable(scenes: Sequence[Scene], file: Path | None = None) -> tuple[list[Scene], list[str]]:
     """Return the scenes that have a trained predictor, and a note for each other scene.
+
+    `file` is the file of a trained predictor for a single scene.
 
     Raises
     ------
     InputError
-        If no scene has a trained predictor.
+        If no scene has a trained predictor, or a file is given for several scenes.
     """
+    if file is not None:
+        if len(scenes) > 1:
+            raise InputError(
+                "--predictor-file",
+                "be given with one scene",
+                f"{file} with {', '.join(scene.name for scene in scenes)}",
+                "chart each scene alone",
+            )
+        return list(scenes), []
     able = [scene for scene in scenes if is_trained(scene.name, scene.predictor_file)]
     notes = [
         (
             f"{scene.name} is left out: no trained predictor. Train one with 'tissue train "
-            f"{scene.name}'."
+            f"{scene.name}', then run 'tissue chart prediction {scene.name} --predictor-file "
+            f"{scene.name}.npz'."
         )
         for scene in scenes
         if scene not in able
@@ -161,12 +160,14 @@ def chart_prediction(
     folder: Path,
     *,
     trials: int,
+    file: Path | None = None,
     overwrite: bool,
     report: Progress = silent,
 ) -> list[PredictorComparison]:
     """Compare the predictors on scenes; write pictures and tables into a folder.
 
-    The pictures are ``prediction_SCENE.png`` and ``prediction_tasks.png``.
+    The pictures are ``prediction_SCENE.png`` and ``prediction_tasks.png``. `file` is the file of
+    the trained predictor, for a single scene.
 
     Raises
     ------
@@ -182,7 +183,7 @@ def chart_prediction(
     with OwnedFolder(folder, "chart", files, overwrite=overwrite):
         for index, scene in enumerate(scenes):
             onward = lambda doing, share, index=index: report(doing, (index + share) / len(scenes))  # noqa: E731
-            found.append(_compare(scene, trials=trials, report=onward))
+            found.append(_compare(scene, trials=trials, file=file, report=onward))
             # Each scene is written immediately: a chart takes half an hour, and a stopped chart
             # keeps the finished scenes.
             draw_scene(found[-1], folder / f"prediction_{scene.name}.png")
@@ -198,7 +199,9 @@ def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
     predictor. The text calls a predictor better or worse only if the interval of the paired
     difference over runs excludes zero.
     """
-    lines = ["error at 4 ms on unseen runs, % of the force (mean and 95 % interval)"]
+    lines = [
+        "error at 4 ms on unseen runs, % of the force (mean, 95 % interval on a logarithmic scale)"
+    ]
     for each in found:
         at_delay = {kind: each.at(kind, DELAY_MS) for kind in PREDICTORS}
         for kind, at in at_delay.items():
@@ -259,7 +262,8 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
     chart = figure(8.5, 4.2)
     chart.set_layout_engine("constrained")
     over_horizon, over_cost = chart.subplots(1, 2)
-    for kind, (colour, mark) in looks().items():
+    for kind in PREDICTORS:
+        colour, mark = looks()[kind]
         mean, low, high = 100 * np.array([found.at(kind, each) for each in HORIZONS]).T
         over_horizon.plot(HORIZONS, mean, "-" + mark, color=colour, label=kind)
         over_horizon.fill_between(HORIZONS, low, high, color=colour, alpha=0.15)
@@ -271,7 +275,8 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
     plain_numbers(over_horizon.yaxis)
     target = over_cost.axvline(LIMIT_US, color="0.3", linestyle="--")
     over_cost.set(xlabel="cost a tick / µs, median to 99 %", ylabel="force error 4 ms ahead / %")
-    over_cost.set(xscale="log", ylim=(0, None))
+    # 5 % of space above the largest error, so that its marker is not cut
+    over_cost.set(xscale="log", ylim=(0, 1.05 * over_cost.dataLim.y1))
     plain_numbers(over_cost.xaxis)
     for axes in (over_horizon, over_cost):
         axes.grid(alpha=0.3, which="both")
@@ -300,7 +305,8 @@ def draw_tasks(found: Sequence[PredictorComparison], path: Path) -> None:
     # the points of a group take 0.7 of its unit, so that groups are apart
     width = 0.7 / len(PREDICTORS)
     places = np.arange(len(found)) - 0.35 + 0.5 * width
-    for index, (kind, (colour, mark)) in enumerate(looks().items()):
+    for index, kind in enumerate(PREDICTORS):
+        colour, mark = looks()[kind]
         mean, low, high = 100 * np.array([each.at(kind, DELAY_MS) for each in found]).T
         along = places + index * width
         axes.vlines(along, low, high, color=colour)

@@ -251,12 +251,16 @@ def normal_residuals(residuals: ArrayLike) -> Assumption:
         )
     p_values = {"Shapiro-Wilk": shapiro(values).pvalue} if len(values) <= MOST else {}
     p_values["Anderson-Darling"] = normal_ad(values)[1]
-    holds = min(p_values.values()) >= ALPHA / len(p_values)
+    limit = ALPHA / len(p_values)
+    holds = min(p_values.values()) >= limit
     tests_text = ", ".join(f"{test} {format_p(p)}" for test, p in p_values.items())
     return Assumption(
         name,
         holds,
-        (f"{tests_text}, skewness {skew(values):.2f}, excess kurtosis {kurtosis(values):.2f}"),
+        (
+            f"{tests_text}, each to be at least {limit:g}, skewness {skew(values):.2f}, "
+            f"excess kurtosis {kurtosis(values):.2f}"
+        ),
     )
 
 
@@ -277,5 +281,5 @@ def symmetric_residuals(residuals: Array) -> Assumption:
     return Assumption(
         "symmetric residuals",
         p >= ALPHA,
-        f"D'Agostino {format_p(p)}, largest skewness {largest:.2f}",
+        f"D'Agostino {format_p(p)}, to be at least {ALPHA:g}, largest skewness {largest:.2f}",
     )

@@ -12,6 +12,7 @@ from scipy.stats import binom
 from meshes.base.arrays import Array
 from meshes.base.errors import counted
 from tissue.evaluation.calibration.observers import Stimulus, draw_observers, share_right
+from tissue.evaluation.looks import looks
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.discrimination import PEOPLE, case_table
 from tissue.evaluation.study.folder import StudyFolder
@@ -19,7 +20,6 @@ from tissue.evaluation.study.plan import TASKS
 from tissue.evaluation.study.section import (
     CASES,
     Section,
-    colours_of,
     drawing,
     image,
     methods_of,
@@ -215,7 +215,7 @@ def _travels(shared: TrialTable) -> tuple[str, str, bytes]:
     ends = []
     methods = methods_of(shared)
     # 0.4 inches a line, 1.4 for axis and label
-    colours = colours_of(methods)
+    styles = looks(methods)
     figure, (axes,) = drawing(9.0, 0.4 * len(methods) + 1.4)
     for line, method in enumerate(methods):
         middle, low, high = median_interval(travel_by_people(shared, method))
@@ -228,11 +228,12 @@ def _travels(shared: TrialTable) -> tuple[str, str, bytes]:
             "median over people"
         )
         # too few people for an interval: only the point
+        colour, marker = styles[method]
         if low > -inf:
-            axes.plot([low, high], [line, line], color=colours[method])
+            axes.plot([low, high], [line, line], color=colour)
             ends.append(high)
         ends.append(middle)
-        axes.plot(middle, line, "o", color=colours[method], mec="black")
+        axes.plot(middle, line, marker, color=colour, mec="black")
     axes.set_yticks(range(len(methods)), methods)
     axes.invert_yaxis()
     # an infinite end lies outside the axes; 5 % of space beyond the largest finite end

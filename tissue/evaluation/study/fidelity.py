@@ -84,9 +84,9 @@ def force_section(table: TrialTable) -> Section:
         "recovery of the parameters by which these people were made, no finding on people.",
         *left,
     )
-    metrics = {"force_error": ("force error % (◆ paper, mean and SD)", 100.0)}
+    metrics = {"force_error": ("force error / %, 95 % interval\n(◆ paper: mean, SD)", 100.0)}
     if "ratio_error" in table.metrics:
-        metrics["ratio_error"] = ("error of intensity ratios / %", 100.0)
+        metrics["ratio_error"] = ("error of intensity ratios / %, 95 % interval", 100.0)
     return Section(
         "force",
         "Force fidelity",

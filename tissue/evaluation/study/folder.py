@@ -25,6 +25,7 @@ from tissue.evaluation.study.registration import (
     PLAN_FILE,
     Registration,
     content_sha256,
+    notes_before,
     register,
     registered,
     require_unchanged,
@@ -131,7 +132,7 @@ class StudyFolder:
                     "choose another folder",
                 )
             there = self.registrations()
-            require_unchanged(self.path, there)
+            require_unchanged(self.path, there, plan)
             return there
         # the marker, the lock and a registered plan may be there before the first trial
         if self.path.is_dir() and any(
@@ -348,6 +349,8 @@ def run_study(
         # a scheduler's workers are other machines
         if missing and scheduler is None and report is not silent:
             report(expected_text(plan, missing, workers=count), share)
+        for note in notes_before(plan) if missing else ():
+            report(note, share)
         _run_trials(plan, missing, folder, count, scheduler, report)
         folder.write_tables()
     return folder

@@ -5,15 +5,19 @@ The hash of the code is recorded in the file of each trial.
 """
 
 import json
+import tomllib
 from collections.abc import Mapping
 from functools import lru_cache
 from hashlib import sha256
+from importlib.util import find_spec
+from math import ceil, log2
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
 from meshes.base.errors import InputError
+from meshes.base.extras import install_command
 from meshes.base.whole_file import claim, package_version, whole_file
 from tissue.evaluation.statistics.hypothesis_test import ALPHA
 from tissue.evaluation.statistics.planned_power import (
@@ -28,6 +32,7 @@ from tissue.evaluation.study.plan import (
     COMPARED,
     DIRECTIONS,
     LATENCY_MS,
+    METHODS,
     PERSONAL,
     TASKS,
     USERS,
@@ -35,6 +40,8 @@ from tissue.evaluation.study.plan import (
     method_settings,
     seeded,
 )
+from tissue.scene.plugins import package_of
+from tissue.scene.registry import PREDICTORS
 
 PLAN_FILE = "plan.toml"
 Registration = dict[str, str | int]
@@ -142,13 +149,21 @@ def registered(content: Mapping[str, Any]) -> list[Registration]:
     ]
 
 
-def require_unchanged(folder: Path, held: list[Registration]) -> None:
-    """Check that no file of a registered plan was edited or removed.
+def packages_of(plan: Plan) -> dict[str, str]:
+    """Return version and code hash of the package of each registered predictor, by method."""
+    own = [method for method in plan.methods if method not in (*METHODS, *PREDICTORS.built_in)]
+    found = {method: package_of(PREDICTORS.group, method) for method in own}
+    return {method: package for method, package in found.items() if package}
+
+
+def require_unchanged(folder: Path, held: list[Registration], plan: Plan) -> None:
+    """Check that the files of registered plans and the packages of their methods are unchanged.
 
     Raises
     ------
     InputError
-        If the file of a plan does not have the recorded hash.
+        If the file of a plan does not have the recorded hash, or a method of `plan` comes from
+        another version of its package.
     """
     for each in held:
         if (got := file_sha256(folder / str(each["file"]))) != each["sha256"]:
@@ -158,6 +173,16 @@ def require_unchanged(folder: Path, held: list[Registration]) -> None:
                 f"be as it was registered (SHA-256 {str(each['sha256'])[:12]})",
                 f"{got[:12] or 'no such file'} in {folder}",
                 "restore the registered file, or run the changed plan in a new folder",
+            )
+    newest = tomllib.loads((folder / str(held[-1]["file"])).read_text("utf-8"))
+    recorded = newest["design"].get("packages", {})
+    for method, package in packages_of(plan).items():
+        if recorded.get(method, package) != package:
+            raise InputError(
+                f"method {method}",
+                f"come from the registered package ({recorded[method]})",
+                package,
+                "install the registered version, or run the study in a new folder",
             )
 
 
@@ -176,6 +201,32 @@ def content_sha256(content: Mapping[str, object]) -> str:
     hash.
     """
     return sha256(json.dumps(content, sort_keys=True).encode("utf-8")).hexdigest()
+
+
+def notes_before(plan: Plan) -> list[str]:
+    """Return the reasons for which the report on a planned study can show no effect."""
+    if not plan.compared:
+        return []
+    notes = []
+    if find_spec("statsmodels") is None:
+        notes.append(
+            "The report will contain no tests, because statsmodels is not installed. Run "
+            f"{install_command('study')}"
+        )
+    tests = len(planned_tests(plan))
+    people = min(plan.trials, USERS) * len(plan.groups)
+    # the measured signs and their opposites reach the statistic, of 2^people combinations
+    smallest_p = 2.0 ** (1 - people)
+    if len(plan.methods) > 1 and tests * smallest_p > ALPHA:
+        who = "1 person" if people == 1 else f"{people} people"
+        needed = 1 + ceil(log2(tests / ALPHA))
+        notes.append(
+            f"No test of methods can show an effect: with {who}, its p value is at least "
+            f"{smallest_p:.2g} ({min(1.0, tests * smallest_p):.2g} after Bonferroni's correction "
+            f"for {tests} tests), and the level is {ALPHA:g}. Plan for {needed} people or more: "
+            f"each of the first {USERS} trials of a group has another person"
+        )
+    return notes
 
 
 def planned_tests(plan: Plan) -> list[str]:
@@ -211,6 +262,7 @@ def plan_text(plan: Plan) -> str:
     tests = planned_tests(plan)
     keys = list(plan.all_trials())
     people = min(plan.trials, USERS)
+    packages = packages_of(plan)
     alpha = ALPHA / max(1, len(tests))
     table = {
         "tissue": package_version(),
@@ -228,6 +280,7 @@ def plan_text(plan: Plan) -> str:
             "people_per_group": people,
             "trials_in_all": len(keys),
             "latency_ms": LATENCY_MS,
+            **({"packages": packages} if packages else {}),
         },
         "seeds": {
             "seed": plan.seed,

@@ -136,10 +136,13 @@ def _agreement(sections: Sequence[Section]) -> str:
                 first, second, *_ = row.values()
                 apart.append(f"{section.title.lower()} {first} {second} ({verdict})")
     text = (
-        f"Of {compared} figures compared with the paper, {compared - len(apart)} agree within the "
-        "standard deviations of both"
+        f"Results that agree with the paper: {compared - len(apart)} of {compared}. Agreement "
+        "means a difference of at most the root of the sum of both squared standard deviations."
     )
-    return text + (f"; the first that do not: {', '.join(apart[:NAMED])}." if apart else ".")
+    if not apart:
+        return text
+    begin = "The first results" if len(apart) > NAMED else "The results"
+    return f"{text} {begin} that do not agree: {', '.join(apart[:NAMED])}."
 
 
 def _overview(folder: StudyFolder) -> Section:
@@ -168,9 +171,10 @@ def _overview(folder: StudyFolder) -> Section:
         "and threshold. No person took part, and nothing here is a measure of physical fidelity: "
         "forces are held against the engine's own ideal, as the paper's are against its own.",
         f"Figures of the paper: {SOURCE}. Tasks are compared with it that meet all conditions that "
-        "it states; it states no geometry, tool or path. Chosen after results had been seen: "
-        f"{'; '.join(CHOSEN_AFTER)}.",
+        "it states; it states no geometry, tool or path.",
     ]
+    if after := [text for text, tasks in CHOSEN_AFTER if set(tasks) & set(plan.tasks)]:
+        sentences.append(f"Chosen after results of earlier studies were known: {' '.join(after)}")
     if empty:
         sentences.append(
             f"No trial yet of {', '.join(empty)}: the figures are of the other groups."
@@ -218,13 +222,13 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
     when = f"after {counted(int(before), 'trial')}" if before else "before the first trial"
     differs = "nothing differs from it"
     if found:
-        kinds = ", ".join(dict.fromkeys(kind for kind, _, _ in found))
-        differs = f"{counted(len(found), 'difference')} from it: {kinds}"
+        kinds = "; ".join(dict.fromkeys(kind for kind, _, _ in found))
+        differs = f"the study differs from it in {counted(len(found), 'point')} ({kinds})"
     digits = str(newest["sha256"])[:16]
     headline = f"{newest['file']} was registered {when} (SHA-256 {digits}); {differs}."
     limits = (
-        "Hashes find slips and changes made in passing; they prove nothing against a person who "
-        "computes them anew, which a copy of the plan in other hands would."
+        "The hashes reveal accidental changes. They do not reveal changes by a person who computes "
+        "the hashes again. A copy of the plan that another person keeps reveals these, too."
     )
     rows = [dict(zip(("kind", "what", "detail"), each, strict=True)) for each in found]
     title = "What differs from the registered plan"
@@ -326,7 +330,11 @@ def _tests(folder: StudyFolder, tests: Sequence[Section]) -> Iterator[Difference
         yield "tests made and not planned", "", _named(names, "; ")
     for sentence in sentences:
         if "is left out" in sentence:
-            yield "method left out of tests, by the plan's rule", sentence.split(":")[0], sentence
+            yield (
+                "method left out of tests by the rule of the plan",
+                sentence.split(":")[0],
+                sentence,
+            )
 
 
 def _unordered(test: str) -> tuple[str, frozenset[str]]:

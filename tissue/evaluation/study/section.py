@@ -1,7 +1,7 @@
 """Building blocks of the report of a study: sections, published results, texts and pictures."""
 
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -12,6 +12,7 @@ from matplotlib.figure import Figure as Drawing
 
 from meshes.base.arrays import Array
 from meshes.base.whole_file import write_rows
+from tissue.evaluation.looks import looks
 from tissue.evaluation.statistics.intervals import Interval, signed_interval
 from tissue.evaluation.statistics.trials import TrialTable
 from tissue.evaluation.study.plan import METHODS, TASKS
@@ -20,24 +21,42 @@ SOURCE = (
     "A Koopman-Bayesian Framework for High-Fidelity, Perceptually Optimized Haptic Surgical "
     "Simulation, N = 900 trials (3 tasks x 3 expertise groups x 100)"
 )
-CHOSEN_AFTER = (
-    "the needle is pushed by a rising force and stopped by a reaction, where a first study turned "
-    "it round at a depth of its script",
-    "what of a run counts as its error of force acts at the motor, where earlier studies took the "
-    "force before it",
-    "ratios of intensity are taken in windows that lie in contact whole, where a study of 180 "
-    "trials took those half in contact too",
-    "a puncture that nobody notices counts as the longest travel and a push ends at a depth of 60 "
-    "mm, where a study of 180 trials left such trials out",
-    "hands aim below the bone in reaming, so that they ream it, where those of a study of 180 "
-    "trials aimed at the wanted depth and skimmed it",
-    "the burr of T3 moves by a tenth of the hand's motion and the softer bone has 60 % of the "
-    "usual density, where in earlier studies the hand moved the burr one to one in bone of 90 %, "
-    "and the sensitivity to force was 0.12",
+CHOSEN_AFTER: tuple[tuple[str, tuple[str, ...]], ...] = (
+    (
+        "The error of the force is computed at the motor. Earlier studies used the force before "
+        "the motor.",
+        ("T1", "T2", "T3", "reaming", "drilling"),
+    ),
+    (
+        "Ratios of intensity are computed in windows that lie entirely in contact. A study of 180 "
+        "trials also used windows that lie partly in contact.",
+        ("T1", "T2", "T3"),
+    ),
+    (
+        "The tool of T3 moves by a tenth of the motion of the hand, and the softer bone has 60 % "
+        "of the usual density. In earlier studies, the tool moved as far as the hand, the softer "
+        "bone had 90 %, and the sensitivity to force was 0.12.",
+        ("T3",),
+    ),
+    (
+        "The needle is pushed by a rising force and stopped by a reaction. A first study reversed "
+        "it at a given depth.",
+        ("needle",),
+    ),
+    (
+        "A puncture that the person does not notice counts as the longest travel, and a push ends "
+        "at a depth of 60 mm. A study of 180 trials left such trials out.",
+        ("needle",),
+    ),
+    (
+        "The target of the hand in reaming lies below the bone, so that the tool reams. In a study "
+        "of 180 trials, the target was the wanted depth, and the tool hardly cut.",
+        ("reaming",),
+    ),
 )
 """Choices in the study that were made after results of earlier versions of the study were known.
 
-No other such choices are known.
+Each has the tasks that it concerns. No other such choices are known.
 """
 
 
@@ -82,17 +101,6 @@ ROUNDED = 0.05
 
 It covers the rounding to two digits.
 """
-COLOURS = {
-    "penalty": "#999999",
-    "energy": "#E69F00",
-    "koopman": "#0072B2",
-    "koopman-look-ahead": "#56B4E9",
-    "koopman-online": "#CC79A7",
-    "koopman-perception": "#009E73",
-}
-"""Colours of the built-in methods (Okabe and Ito 2008)."""
-OTHER_COLOURS = ("#D55E00", "#000000", "#F0E442")
-"""Colours of all other methods, in the order in which a picture shows these methods."""
 
 
 @dataclass(frozen=True)
@@ -189,16 +197,6 @@ def methods_of(table: TrialTable) -> list[str]:
     return [*(each for each in METHODS if each in table.method), *others]
 
 
-def colours_of(methods: Iterable[str]) -> dict[str, str]:
-    """Return the colour of each method, by name."""
-    methods = list(methods)
-    others = [each for each in methods if each not in COLOURS]
-    return {
-        each: COLOURS.get(each) or OTHER_COLOURS[others.index(each) % len(OTHER_COLOURS)]
-        for each in methods
-    }
-
-
 def parts_of(table: TrialTable) -> dict[tuple[str, str], TrialTable]:
     """Divide a table of trials by task and method."""
     pairs = product(tasks_of(table), methods_of(table))
@@ -244,7 +242,7 @@ def grouped_points(
         Published values, keyed by the index of the group and the method.
     """
     methods = list(dict.fromkeys(method for _, method in points))
-    colours = colours_of(methods)
+    styles = looks(methods)
     # the points of a group take 0.7 of its unit, so that groups are apart
     width = 0.7 / len(methods)
     middle = 0.5 * (len(methods) - 1)
@@ -252,8 +250,9 @@ def grouped_points(
         shift = width * (methods.index(method) - middle)
         mine = {index + shift: point for (index, name), point in points.items() if name == method}
         values, lows, highs = np.array(list(mine.values())).T
-        axes.vlines(list(mine), lows, highs, color=colours[method], linewidth=2)
-        axes.plot(list(mine), values, "o", color=colours[method], label=method)
+        colour, marker = styles[method]
+        axes.vlines(list(mine), lows, highs, color=colour, linewidth=2)
+        axes.plot(list(mine), values, marker, color=colour, label=method)
     for (index, method), paper in (papers or {}).items():
         # a third of the distance of two points to the right, so that both marks are visible
         place = index + width * (methods.index(method) - middle + 0.33)
@@ -268,7 +267,7 @@ def legend(figure: Drawing, axes: Axes) -> None:
     figure.legend(
         *axes.get_legend_handles_labels(),
         loc="outside upper center",
-        # the six built-in methods in one line
+        # the six default methods in one line
         ncols=6,
         frameon=False,
     )

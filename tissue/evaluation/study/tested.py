@@ -114,7 +114,8 @@ def _distinct(table: TrialTable, metrics: Sequence[str]) -> tuple[TrialTable, li
             same = [metric for metric in metrics if _equal(table, metric, method, other)]
             if same:
                 left_out.append(
-                    f"{method} has the {same[0]} of {other} in every trial and is left out"
+                    f"{method} is left out, as its {same[0]} differs from that of {other} in no "
+                    "trial by more than a thousandth of the standard deviation over trials"
                 )
                 break
         else:
@@ -187,42 +188,54 @@ def _pairs(found: Sequence[MetricComparison]) -> Section:
     ]
     sizes = []
     for each in found:
+        found_pairs = [pair.question for pair in each.pairs if pair.found]
         for size in each.sizes if each.metric == "force_error" else ():
             name, pair_name = size.name.split(", ")
-            sizes.append((f"{each.task} {pair_name}", size))
             question = f"force_error: {pair_name}"
+            sizes.append((f"{each.task} {pair_name}", size, question in found_pairs))
             rows.append({"task": each.task, "pair": question, "figures": name, "size": str(size)})
-    big = [f"{name} {size.value:+.1f}" for name, size in sizes if size.low * size.high > 0.0]
+    big = [f"{name} {size.value:+.1f}" for name, size, is_found in sizes if is_found]
     sentences = (
         "Pairs are decided by the same sign flips as their tests. Their p values and intervals "
         "hold for all pairs of a test together.",
-        f"Cohen's d of the force error whose interval leaves out zero: {', '.join(big) or 'none'}. "
-        "Simulated people differ less than real ones, which makes a difference of one size look "
-        "larger in standard deviations; the differences in percent above do not depend on that.",
+        "Cohen's d of the force error for the pairs that differ at 5 % by these sign flips: "
+        f"{', '.join(big) or 'none'}. Each interval of d holds for its pair alone, not for all "
+        "pairs together. Simulated people differ less than real people, so the same difference is "
+        "larger in standard deviations. The differences in percent above do not depend on that.",
     )
     picture = _sizes_picture(sizes) if sizes else b""
     return Section("pairs", "Pairs and sizes of effects", sentences, rows, picture)
 
 
-def _sizes_picture(sizes: Sequence[tuple[str, Effect]]) -> bytes:
-    """Draw Cohen's d of each pair with its interval, one pair per line."""
-    # 0.24 inches a line, 1 for axis and label
-    figure, (axes,) = drawing(9.0, 0.24 * len(sizes) + 1.0)
-    for line, (_, size) in enumerate(sizes):
-        # grey: the interval holds zero
-        colour = "#0072B2" if size.low * size.high > 0.0 else "#999999"
+def _sizes_picture(sizes: Sequence[tuple[str, Effect, bool]]) -> bytes:
+    """Draw Cohen's d of each pair with its interval, one pair per line.
+
+    `sizes` has the name of each pair, its d, and True if the test of the pair shows a difference.
+    """
+    # inches: 0.24 a line, and 1.2 for axis and label
+    figure, (axes,) = drawing(9.0, 0.24 * len(sizes) + 1.2)
+    # inches at the sides, so that no name of a pair touches the edge
+    figure.set_layout_engine("constrained", w_pad=0.1)
+    for line, (_, size, is_found) in enumerate(sizes):
+        colour = "#0072B2" if is_found else "#999999"
         axes.plot([size.low, size.high], [line, line], color=colour)
         axes.plot(size.value, line, "o", color=colour)
     axes.axvline(0.0, color="black")
     # sizes reach from a fraction to tens of standard deviations, of both signs
     axes.set_xscale("symlog", linthresh=1.0)
-    low, high = axes.get_xlim()
-    ticks = (-50, -20, -10, -5, -2, -1, 0, 1, 2, 5, 10, 20, 50)
-    axes.set_xticks([tick for tick in ticks if low <= tick <= high])
+    low = min(-1.0, *(size.low for _, size, _ in sizes))
+    high = max(1.0, *(size.high for _, size, _ in sizes))
+    # some space beyond the longest bar on an axis that is mostly logarithmic
+    axes.set_xlim(1.5 * low, 1.5 * high)
+    ticks = (-30, -10, -3, -1, 0, 1, 3, 10, 30)
+    axes.set_xticks([tick for tick in ticks if 1.5 * low <= tick <= 1.5 * high])
     axes.xaxis.set_major_formatter("{x:g}")
-    axes.set_yticks(range(len(sizes)), [name for name, _ in sizes])
-    axes.invert_yaxis()
-    axes.set_xlabel("Cohen's d of the force error, 95 % interval (linear within ±1)")
+    axes.set_yticks(range(len(sizes)), [name for name, _, _ in sizes])
+    axes.set_ylim(len(sizes) - 0.5, -0.5)
+    axes.set_xlabel(
+        "Cohen's d of the force error (linear within ±1), 95 % interval\n"
+        "of each pair alone; blue: the test of the pair shows a difference"
+    )
     return image(figure)
 
 

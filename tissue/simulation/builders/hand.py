@@ -24,6 +24,7 @@ from tissue.models.tissue_model import TICK_S
 from tissue.motion.motion import Motion, quaternion_of
 from tissue.perception.perceived import Perception
 from tissue.scene.coupling import WallAnatomy
+from tissue.scene.registry import DEVICES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ReplayMotion, ThrustMotion, Tool
 from tissue.simulation.builders.force_met import chosen_scale
@@ -95,7 +96,12 @@ def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tupl
             "coupling.force_scale"
         )
     held = settings.held
-    note = f"{held.kind} in the hand of {person_of(held.hand)}, {held.renderer}: {'; '.join(notes)}"
+    # a run with a real device uses the simulated hand only for the stability check
+    holds = "checked for" if DEVICES[held.kind].is_real else "in"
+    note = (
+        f"{held.kind} {holds} the hand of {person_of(held.hand)}, {held.renderer}: "
+        f"{'; '.join(notes)}"
+    )
     return motion, note
 
 
