@@ -45,7 +45,7 @@ PATH_HZ = 4.0
 The cut-off is below the tremor band.
 """
 DRAWS = 1000
-"""Number of bootstrap samples of the time windows from which the interval is computed."""
+"""Number of random draws of the tremor in each window, for the interval of the score."""
 LEAST_MM = 1e-4
 """Smallest tremor with which a score is computed [mm], far below the tremor of a hand.
 
@@ -73,7 +73,7 @@ class Steadiness:
         below 0 or above 100. Only runs of the same task with equal motion and force scales are
         comparable.
     low, high
-        Ends of the 95 % interval of the score, from the scatter of the tremor between the windows.
+        Ends of the 95 % interval of the score, from random draws of the tremor in each window.
     """
 
     tremor_mm: float

@@ -164,8 +164,8 @@ def rejection_rates(
     rng
         Random generator of the sign flips.
     questions
-        Keys of `QUESTIONS`. A question is skipped if there is only one group or method. For several
-        metrics, "group x method" is skipped.
+        Keys of `QUESTIONS`. A question that the design cannot answer, such as "group" for a single
+        group, is skipped. For several metrics, "group x method" is skipped.
     """
     found: list[Power] = []
     metrics, _, methods = null.shape[1:]

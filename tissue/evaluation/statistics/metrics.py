@@ -345,8 +345,8 @@ def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
 def followed_ticks(model: Array, rows: Ints) -> Flags:
     """Return True for each point of a path with a corresponding place on the model path.
 
-    The alignment may end before the last point of the model path. If the rest of the model path is
-    longer than the tremor of a hand, later points of the path have no corresponding place. The
+    The alignment may end before the last point of the model path. If the model path then moves
+    farther than the tremor of a hand, later points of the path have no corresponding place. The
     parameters are those of :func:`deviation_mm`.
     """
     end = rows[-1]
