@@ -112,7 +112,7 @@ def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float)
     A guard uses the fallback if it rejects a prediction. The fallback is the predictor in
     `FALLBACKS` with the smallest mean error.
 
-    The predictors in `FALLBACKS` need no training.
+    The predictors in `FALLBACKS` have no trained operator.
     """
     errors = _mean_errors(FALLBACKS, trained, touching(runs), force_limit_N, (VALIDATED_AT,))
     return replace(trained, fallback=min(errors, key=lambda kind: errors[kind][0]))
@@ -219,8 +219,8 @@ def forecast(
     The flag is 1 if the predicted force comes mainly from the primary predictor, and 0 if it comes
     mainly from the fallback.
 
-    To imitate a slow tissue model, the predictor receives new contact data only every `model_ticks`
-    ticks.
+    To imitate a slow tissue model, the predictor receives a new force and new contact data only
+    every `model_ticks` ticks.
     """
     predicted = np.empty((len(run.force_N), len(horizons), 3))
     is_primary = np.empty(len(run.force_N))

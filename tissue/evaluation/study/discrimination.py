@@ -93,8 +93,7 @@ class Felt:
 
     @property
     def stimulus(self) -> Stimulus:
-        """Stimulus with the mean force over all people, and the scatter between trials of a
-        person."""
+        """Stimulus with the mean force over all people, and a person's scatter between trials."""
         return Stimulus(
             self.means_N.mean(),
             np.sqrt(self.squares_N2.sum() / max(self.free.sum(), 1.0)),

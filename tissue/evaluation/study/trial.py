@@ -137,7 +137,7 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
 
 
 def failures_of(trials: Iterable[Trial]) -> dict[str, list[str]]:
-    """Return the names of failed trials, keyed by method and reason of the failure.
+    """Return the names of failed trials, keyed by a text of method and failure.
 
     Reasons that differ only in the time of the failure count as equal.
     """

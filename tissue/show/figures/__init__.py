@@ -1,4 +1,4 @@
-"""Still pictures of a run."""
+"""Pictures of a run: functions that draw its results into files."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING

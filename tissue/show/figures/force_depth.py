@@ -1,4 +1,4 @@
-"""Figures of force over depth: for a first descent, for a needle, and for a ball on a wall."""
+"""Figures of force over depth for a cutting tool, a needle, and a ball at a virtual wall."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ from tissue.simulation.saved_fields import field_label
 from tissue.simulation.trace import NO_LAYER
 
 RISE_MM = 0.2
-"""Rise of the tool that ends a descent [mm].
+"""Upward motion [mm] above which the first descent of a tool counts as ended.
 
 The value is twice the tremor of a novice's hand (0.1 mm, tissue/materials/hands.toml).
 """
@@ -37,13 +37,14 @@ The value is twice the tremor of a novice's hand (0.1 mm, tissue/materials/hands
 def first_descent(coordinate_mm: Array, contact: Flags) -> slice:
     """Return the rows of the trace in which the tool first moves down into the tissue.
 
-    The rows start where the tip is `RISE_MM` above its position at the first contact. They end at
-    the deepest point that the tip reaches before it rises again by more than `RISE_MM`.
+    The first row is the row where the tip is `RISE_MM` above its position at first contact. The
+    last row is the deepest point before the tip rises again by more than `RISE_MM`.
 
     Parameters
     ----------
     coordinate_mm
-        Coordinate of the tool's tip, which increases out of the tissue [mm], shape (rows,).
+        Coordinate of the tool's tip [mm], shape (rows,), along an axis that points out of the
+        tissue.
     contact
         True where the tool touches tissue, shape (rows,).
     """
@@ -61,7 +62,7 @@ def first_descent(coordinate_mm: Array, contact: Flags) -> slice:
 
 
 def layers_passed(run: Run, tips_mm: Array) -> NDArray[np.str_]:
-    """Return the name of the layer at each position of the tip before any cut, shape (n,).
+    """Return the name of the uncut bone's layer at each tip position, shape (n,).
 
     `tips_mm` contains the positions [mm], shape (n, 3).
     """
@@ -76,7 +77,7 @@ def layers_passed(run: Run, tips_mm: Array) -> NDArray[np.str_]:
 
 @styled
 def draw_force_depth(run: Run, path: Path) -> str | None:
-    """Draw force and other values of the tissue over depth while the tool first moves down.
+    """Draw force and other values of the tissue over depth during the tool's first descent.
 
     Parameters
     ----------
@@ -140,7 +141,7 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
 def _shade(
     run: Run, panels: NDArray[np.object_], depth: Array, passed: NDArray[np.str_], force: Array
 ) -> None:
-    """Shade a band for each layer, with the name of the layer and the mean force in it."""
+    """Shade the depth range of each layer, with the layer's name and the mean force in it."""
     colours = layer_colours(run.volume.layer_names)
     for first, last, name in spells(passed, shortest=round(FLICKER_S / TICK_S)):
         if name == NO_LAYER:
@@ -174,14 +175,14 @@ SHARES = (
     ("friction_N", "friction along the shaft", "#009E73"),
 )
 SIDE_BY_SIDE = 0.15
-"""Distance between two punctures, relative to the depth range, below which names are stacked."""
+"""Distance of two punctures, relative to the depth range, below which labels are stacked."""
 
 
 @styled
 def draw_insertion(run: Run, path: Path) -> None:
-    """Draw the axial force on a needle over tip depth and over time, with the punctures.
+    """Draw the axial force on a needle over tip depth and over time, with marked punctures.
 
-    Over time, the elastic, cutting and friction parts of the force are drawn too.
+    The panel over time also shows the elastic, cutting and friction parts of the force.
     """
     trace = run.trace
     time = trace["time_s"]
@@ -238,18 +239,18 @@ BALL = "0.1"
 DEVICE = "#D55E00"
 FORCE = "#0072B2"
 LONGEST = 0.28
-"""Length of the arrow of the largest force, relative to the height of the picture."""
+"""Length of the arrow that shows the largest force, relative to the picture's height."""
 
 
 @styled
 def draw_wall(run: Run, path: Path) -> None:
-    """Draw the paths of ball and device at a wall, and the force over the depth of the device.
+    """Draw the paths of ball and haptic device at a virtual wall, and force over depth.
 
     The upper panel shows the paths in a section perpendicular to the wall. The lower panel shows
     the force.
 
-    The ball is drawn at the time of the largest force. In a run without a device, the force is
-    drawn over the depth of the ball.
+    The depth is the device's depth in the wall or, in a run without a device, the ball's depth. The
+    ball is drawn at the time of the largest force.
     """
     from matplotlib.patches import Circle
 
