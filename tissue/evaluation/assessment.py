@@ -45,7 +45,7 @@ The value is a convention, not a standard.
 class NoSharedContactError(InputError):
     """Error for a run that does not touch the tissue at the places where the reference run does.
 
-    `reason` states what the run did instead, for example "touches nothing".
+    The attribute `reason` describes the contact of the run, for example "touches nothing".
     """
 
     def __init__(self, reason: str) -> None:

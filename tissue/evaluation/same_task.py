@@ -18,7 +18,7 @@ from tissue.simulation.trace import Table
 TASK = ("anatomy", "keep_clear", "organ", "cutting", "tool")
 """Parts of a scene that define the task.
 
-The correct forces and depths depend on these parts.
+Correct forces and depths of the tool depend on these parts.
 """
 NUMERICAL = frozenset(
     f"organ.{name}" for name in ("law_interval_ms", "order", "path", "basis_size", "interval_ms")
@@ -31,9 +31,9 @@ These keys describe the run, the user who moves the tool, and the device. Differ
 coupling are reported by `coupling_notes`.
 """
 OPERATOR = ("hands", "devices")
-"""Tables of constants that may differ between two runs of the same task.
+"""Tables of constants, of user and device, that may differ between runs of the same task.
 
-The tables describe the user and the device.
+All other constants must be equal.
 """
 
 

@@ -39,8 +39,6 @@ So many runs would take days; a larger number is assumed to be a typing error.
 HELD_OUT = 4
 """One of this number of runs is used for validation, the others for training.
 
-The other runs are used for training.
-
 Successive runs have hands of the three expertise groups in turn. Because 4 and 3 have no common
 factor, successive validation runs have different groups too.
 """

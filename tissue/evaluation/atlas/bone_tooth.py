@@ -44,7 +44,7 @@ has no effect on the results.
 STEPS = 400
 """Number of time steps. An error that grows by 2 % per step grows more than a thousandfold."""
 MASS_KG = 0.05
-"""Mass of the tool in the sweep of the time step [kg]."""
+"""Mass of the tool [kg] for which the time step is varied."""
 
 
 @cache
@@ -216,7 +216,7 @@ def conditions(body: ParticleBody) -> tuple[float, float]:
 
 
 def compliance_m_N(body: ParticleBody, fill: float) -> float:
-    """Compute the compliance [m/N] for a force on the top of the block."""
+    """Compute the compliance [m/N] of a block for a force on its top."""
     # in the middle of the top face, just inside the filled part of the cut cell
     place = CUT_EDGE_M * np.array([1.5, 1.5, CELLS + 0.999 * fill])
     load = body.spread(place, np.array([0.0, 0.0, -1.0]))

@@ -87,7 +87,7 @@ class Page(ABC):
     title, question
         Title of the page, and question that the page answers.
     source
-        Source of the theory, and parameters of the sweep.
+        Source of the theory, and fixed parameters, as text.
     """
 
     name: str
@@ -261,7 +261,7 @@ def write_atlas(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> list[Entry]:
-    """Run pages and write ``index.html``, with a picture and the data (CSV) of each page.
+    """Run atlas pages; write ``index.html``, and a picture and tables (CSV) of each page.
 
     Raises
     ------

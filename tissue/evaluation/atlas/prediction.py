@@ -52,7 +52,7 @@ LABELS = {
 LEADS_MS = 10.0
 """Largest horizon [ms] at which the haptic loop needs a predicted force.
 
-The delay and the filter of the loop take several milliseconds together.
+Delay and filter of the haptic loop together take several milliseconds.
 """
 HORIZON_TICKS = 5
 """Prediction horizon [ticks] at which two linear operators are compared: half of `LEADS_MS`."""

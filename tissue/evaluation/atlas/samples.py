@@ -74,8 +74,8 @@ def pressed(
     """Simulate an expert who aims 5 mm deep into a wall with a device that has faults.
 
     Return the magnitude of the force [N], shape (ticks,), and the sample guard. If `guarded` is
-    true, the guard checks the samples as in the engine. Otherwise no guard is used, and None is
-    returned for it. `make` adds the faults to a device.
+    true, the guard checks the device samples. Otherwise, no guard is used, and None is returned
+    instead of the guard. `make` adds the faults to a device.
     """
     # the aim is 5 mm deep from the first tick on
     path = waypoints(np.array([0.0, 1e-3]), np.full((2, 3), (0.0, 0.0, -5e-3)))
@@ -89,10 +89,10 @@ def pressed(
 
 
 def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
-    """Measure three forces around a gap in the samples, relative to the force before the gap.
+    """Measure three forces around a fault of the samples, relative to the force before it.
 
-    The three values are the force in the last tick of the gap, the largest force after the gap, and
-    the largest change from tick to tick in the gap.
+    The fault lasts `gap_s`. The three values are the force in its last tick, the largest force
+    after the fault, and the largest change from tick to tick during the fault.
     """
     fault = Fault(kind, FAULT_S, FAULT_S + gap_s)
     size, _ = pressed(

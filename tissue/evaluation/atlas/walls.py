@@ -303,14 +303,14 @@ MASS_KG = 0.05
 SHORT_TICK_S = 2.5e-4
 """Duration of a tick in the simulations of thin walls [s].
 
-A contact with the stiffness `STIFFNESS_N_M` and the mass `MASS_KG` lasts 22 ms.
+A contact lasts 22 ms.
 
-With such short ticks, the zero-order hold of the force adds little energy during a contact.
+With such short ticks, the zero-order hold of the force adds little energy to the device.
 """
 
 
 def point_proxy(thickness_m: float, *, start_m: float) -> Proxy:
-    """Return the proxy of a point tool at the height `start_m`, with a wall centred at z = 0."""
+    """Return the proxy of a point tool at the height `start_m`; the wall's middle is z = 0."""
     # 0.1 m wide, while devices move along z only
     wall = Box(np.zeros(3), np.array([0.1, 0.1, thickness_m]))
     proxy = Proxy(ToolShell.ball(), ContactField(wall))
@@ -319,7 +319,7 @@ def point_proxy(thickness_m: float, *, start_m: float) -> Proxy:
 
 
 def end_m(speed_m_s: float, thickness_m: float, proxy: Proxy | None) -> float:
-    """Compute the final height of a device that is thrown at a wall [m].
+    """Compute the final height [m] of a device that is thrown at a wall.
 
     The device starts just above the wall, whose middle plane is at z = 0. Without a proxy, the
     force is a penalty that pushes the device to the nearest face of the wall.
@@ -395,8 +395,8 @@ class ThinWalls(Page):
     def judge(self, data: Data) -> Verdict:
         """Compare the crossing speed with theory, and count the devices that a proxy stops.
 
-        The predicted speed follows from the energy that the spring of the wall stores over half the
-        thickness.
+        In theory, a device crosses the wall if its kinetic energy exceeds the energy of the wall's
+        spring at half the thickness.
 
         A device counts as stopped if it ends on the side from which it was thrown.
         """

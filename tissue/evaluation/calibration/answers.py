@@ -1,4 +1,4 @@
-"""Sources of the answers of a calibration session.
+"""Sources of answers in a calibration session of force perception.
 
 The answers come from a simulated observer, or from a person at the keyboard who feels forces on a
 device.

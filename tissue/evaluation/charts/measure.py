@@ -125,16 +125,16 @@ A tool in a hand lags behind the scripted path.
 MARGIN_MM = 0.5
 """Width [mm] of the modelled bone around the region that a scripted tool reaches.
 
-This is the smallest margin that a scene allows. The margin affects the time to build the bone, but
-no force.
+This is the smallest margin that a scene allows. The margin affects only the time to build the bone,
+not the force.
 """
 STRAY_MM = 1.5
-"""Largest width of bone that is modelled around the path if a hand moves the tool [mm].
+"""Largest width [mm] of the modelled bone around the path if a hand moves the tool.
 
-A hand deviates from the path.
+The margin is needed because a hand deviates from the path.
 """
 REPEATS = 2
-"""Number of runs of a setting that is measured at a single place.
+"""Number of runs of a numerical setting that is measured at a single tool position.
 
 The time of the fastest run counts.
 

@@ -34,7 +34,7 @@ def chart_scenes(
     For each scene, ``NAME.png`` and ``NAME.csv`` are written. The picture ``frontier.png`` shows
     all scenes.
 
-    Stored measurements of this machine are used again, so an interrupted chart can be continued.
+    Measurements are stored on disk, so an interrupted call can be continued.
 
     Raises
     ------
@@ -158,7 +158,8 @@ def draw_frontiers(found: Sequence[Frontier], path: Path) -> None:
 def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
     """Draw the Pareto-optimal settings of each scene, for scripted and hand-held tools.
 
-    The settings are numbered, and their names are listed next to the panel.
+    There is one panel for each scene. The settings are numbered, and the names of the settings are
+    listed next to the panel.
     """
     columns = min(COLUMNS, len(found))
     rows = -(-len(found) // columns)

@@ -72,9 +72,9 @@ def redrawn_power(
 
     The data may have any distribution. For the null hypothesis, the mean of each group and method
     is subtracted. Users are drawn from a smoothed distribution of the residuals (Silverman and
-    Young 1987). A drawn user is a random user of the group plus normal noise with a covariance
-    proportional to that of the group. Without the noise, the estimated rate of false alarms would
-    be too high, because the same few users are drawn repeatedly.
+    Young 1987). A drawn user is a random user of the group plus normal noise, whose covariance is
+    proportional to the covariance of the group. Without the noise, the estimated rate of false
+    alarms would be too high, because the same few users are drawn repeatedly.
 
     In 25 normal studies with a true rate of 5 %, the mean estimate for sign flips is 5.1 to 5.4 %,
     depending on the question (3.7 to 6.4 % in single studies). Without the noise, the mean estimate

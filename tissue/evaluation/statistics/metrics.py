@@ -316,7 +316,7 @@ def aligned_rows(path: Array, model: Array) -> Ints:
 
 
 def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
-    """Return the distance of each point of a path from the model path [mm], shape (n,).
+    """Return the distance [mm] of each point of a path from the model path, shape (n,).
 
     Only the part of the model path near the aligned row is searched. For points that are aligned
     with the largest row, the whole rest of the model path is searched too.
@@ -346,8 +346,8 @@ def followed_ticks(model: Array, rows: Ints) -> Flags:
     """Return True for each point of a path with a corresponding place on the model path.
 
     The alignment may end before the last point of the model path. If the model path then moves
-    farther than the tremor of a hand, later points of the path have no corresponding place. The
-    parameters are those of :func:`deviation_mm`.
+    farther than the tremor of a hand, later points of the path have no corresponding place. See
+    :func:`deviation_mm` for the parameters.
     """
     end = rows[-1]
     goes_on = np.linalg.norm(model[end:] - model[end], axis=1).max() > TREMOR_MM

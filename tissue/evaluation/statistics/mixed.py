@@ -39,7 +39,7 @@ LEAST = 1e-6
 def mixed_model(table: TrialTable, metric: str) -> list[HypothesisTest]:
     """Fit a mixed model of a metric by restricted likelihood; return F tests of its fixed effects.
 
-    The degrees of freedom of a test are those of the effect and of its error term (stratum).
+    A test has the degrees of freedom of the effect and of its error term (stratum).
 
     The model is metric = mean + group x method (x task) + user + user by method + trial + rest.
 
@@ -47,9 +47,9 @@ def mixed_model(table: TrialTable, metric: str) -> list[HypothesisTest]:
     the methods would treat the trials of one user as independent (Barr et al. 2013). If several
     methods are run in the same trial, the trial is a random term too. If each user has only one
     trial per method, the interaction of users with methods cannot be separated from the residual
-    and is omitted. Wald's statistic is compared with the F distribution whose degrees of freedom
-    are those of the error term (stratum). With few users, a comparison with the chi-squared
-    distribution would reject too often. In a complete design, this test equals the exact test of
+    and is omitted. Wald's statistic is compared with an F distribution with the degrees of freedom
+    of the error term (stratum). With few users, a comparison with the chi-squared distribution
+    would reject too often. In a complete design, this test equals the exact test of
     :func:`tissue.evaluation.statistics.strata.strata`, unless a variance is estimated as zero.
 
     Raises

@@ -68,7 +68,7 @@ class SignTest:
 def pair_scores(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) -> Array:
     """Compute each user's differences between all pairs of levels of an effect.
 
-    Parameters and shapes are those of :func:`effect_scores`. For an interaction, the scores are
+    See :func:`effect_scores` for parameters and shapes. For an interaction, the scores are
     differences of differences. If `chosen` is empty, the score is the mean of the user.
     """
     return effect_scores(values, sizes, chosen, pair_differences, -1.0)

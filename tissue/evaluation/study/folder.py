@@ -96,8 +96,8 @@ class StudyFolder:
     def held(self, plan: Plan) -> Iterator[list[str]]:
         """Lock the folder against other processes inside a ``with`` block.
 
-        The value of the ``with`` statement is the list of warnings from `begin`. The raised errors
-        are those of `begin`.
+        The value of the ``with`` statement is the list of warnings from `begin`. Raises the same
+        errors as `begin`.
         """
         self._require_same(plan)
         folder = OwnedFolder(self.path, KIND, ())

@@ -27,7 +27,7 @@ from tissue.evaluation.study.section import Section, drawing, image, methods_of,
 LOOSE = 0.06
 """Rate of false alarms above which a test with a level of 5 % is called too liberal.
 
-For the tests that decide, a rate of (5 ± 1) % is accepted on data like those of a study
+For sign-flip tests, a rate of (5 ± 1) % is accepted in simulated studies
 (`tests/bench/bench_null.py`).
 """
 Outcome = tuple[str, HypothesisTest]

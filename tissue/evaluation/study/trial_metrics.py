@@ -27,7 +27,7 @@ LEAST_N = 1e-3
 Smaller forces are replaced by this value before a logarithm is computed.
 """
 TOUCHES = 0.05
-"""Fraction of the largest force in a trial above which a tick counts as contact.
+"""Ratio of a tick's force to the trial's largest force above which the tick counts as contact.
 
 Ticks with smaller forces are ignored, because ratios of forces are not meaningful at the beginning
 and the end of a contact.

@@ -52,8 +52,8 @@ def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, t
     times_s
         Times [s], shape (n,).
     nominal
-        Loads at the nominal values of the material constants, shape (n, 8). The columns are x, y, z
-        and magnitude of the force [N], then x, y, z and magnitude of the torque [N m].
+        Loads at the nominal values of the constants, shape (n, 8). The columns are x, y, z and
+        magnitude of the force [N], then x, y, z and magnitude of the torque [N m].
     quantiles
         5, 25, 50, 75 and 95 % quantiles of these loads, shape (5, n, 8).
     path

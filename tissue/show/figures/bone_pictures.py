@@ -51,7 +51,7 @@ OPENED_DEG = (58.0, 12.0)
 `TILT_DEG` has the angles for a bone that is drawn whole.
 """
 DEEP = 0.5
-"""Ratio of a cut's depth to its width above which the bone is drawn cut open.
+"""Ratio of a cut's depth to its smaller width above which the bone is drawn cut open.
 
 The bottom of a deeper cut is not visible from the side of the tool.
 """

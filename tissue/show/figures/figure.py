@@ -26,9 +26,9 @@ T = TypeVar("T")
 DPI = 200
 """Pixels per inch of a PNG picture, for sharp pictures on screens and in documents."""
 VECTOR_DPI = 2 * DPI
-"""Pixels per inch of raster parts in SVG and PDF.
+"""Pixels per inch of images and renderings in SVG and PDF files.
 
-Raster parts are images and renderings; lines and text are vectors.
+Lines and text are vectors.
 """
 STYLE: "dict[RcKeyType, float]" = {
     "font.size": 9.0,

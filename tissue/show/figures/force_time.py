@@ -201,7 +201,7 @@ def _draw_components(
 
 
 def _draw_path(axes: "Axes", run: Run) -> None:
-    """Draw the tip position along the tool's axis; shading shows the layer in contact."""
+    """Draw the tip position along the tool's axis, shaded by the layer of largest contact."""
     trace = run.trace
     time = trace["time_s"]
     turned = tool_axes(trace.quaternions())
@@ -222,8 +222,7 @@ def _draw_path(axes: "Axes", run: Run) -> None:
 
 
 MOMENT_S = 0.06
-"""Duration [s] of the enlarged interval of a picture, in which latencies of milliseconds are
-visible.
+"""Duration [s] of an enlarged interval, in which latencies of milliseconds are visible.
 """
 LINES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("model_force", "the tissue's, at the device's scale", {"color": "0.6", "linewidth": 3.0}),

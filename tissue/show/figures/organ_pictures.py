@@ -164,7 +164,7 @@ def draw_press(run: Run, path: Path) -> str | None:
 
 
 def _colours(name: str, values: Singles) -> "ScalarMappable":
-    """Return the mapping from values of a field to colours.
+    """Return the matplotlib object that maps the values of a field to colours.
 
     The scale is logarithmic if it begins above 0.
     """
@@ -232,7 +232,7 @@ HELD_HEIGHTS_PX = 110, 80
 
 
 def draw_held(run: Run, path: Path) -> str | None:
-    """Draw the surface of an organ, with colours for held and for touchable parts.
+    """Draw the surface of an organ, coloured where it is fixed or can be touched by the tool.
 
     A triangle is coloured if all its nodes are fixed, or if the tool can touch all its nodes.
 

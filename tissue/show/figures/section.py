@@ -333,13 +333,16 @@ def _handles(run: Run, section: Section) -> "list[Artist]":
 STRUCTURES = ("#D55E00", "#0072B2", "#009E73", "#000000")
 """Colours of protected structures, after Okabe and Ito (2008)."""
 AROUND_MM = 3.0
-"""Margin [mm] around the tissue in which protected structures are shown."""
+"""Margin [mm] around the tissue in pictures with protected structures.
+
+The largest distance between tool and structure is added to this margin.
+"""
 ACROSS = 200
 """Number of points along each side of a section at which distances are computed."""
 
 
 def distances_to_structures(run: Run) -> dict[str, float]:
-    """Return the smallest distance between the tool and each structure to keep clear of [mm].
+    """Return the smallest distance [mm] between the tool and each protected structure.
 
     A distance is negative if the tool was inside the structure. Ticks after the tool left the
     simulated region are ignored.
