@@ -40,7 +40,7 @@ class Attempt:
 
     @property
     def steadiness(self) -> Steadiness:
-        """Tremor and score of the hand in the run. Every attempt has a score."""
+        """Tremor and score of the hand in the run."""
         assert self.found.steadiness is not None, self.name
         return self.found.steadiness
 

@@ -33,7 +33,7 @@ coupling are reported by `coupling_notes`.
 OPERATOR = ("hands", "devices")
 """Tables of constants, of user and device, that may differ between runs of the same task.
 
-All other constants must be equal.
+All other constants that the tissue and the tool of the run use must be equal.
 """
 
 

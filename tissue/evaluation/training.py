@@ -123,7 +123,7 @@ def _mean_errors(
     force_limit_N: float,
     horizons: Sequence[float] = HORIZONS,
 ) -> dict[str, list[float]]:
-    """Return the mean error over runs for each predictor, as a list over the horizons."""
+    """For each predictor, return a list with the mean error over all runs at each horizon."""
     errors = {}
     for kind in kinds:
         make = partial(trained_predictor, kind, trained, force_limit_N=force_limit_N)

@@ -106,9 +106,9 @@ class Session:
     threshold
         Posterior distribution of the threshold parameters.
     asked
-        Answered comparisons, each with its answer.
+        Comparison trials that were answered, each with the answer.
     given
-        Rated forces [N], each with its number.
+        Forces [N] that were rated, each with the number that the person gave.
     """
 
     def __init__(self, plan: Plan) -> None:

@@ -34,7 +34,7 @@ class Cells:
         Name of the metric, with its unit.
     values
         Mean over the trials of a user at a level, shape (users, levels). A level is a combination
-        of the levels of `factors`.
+        with one level of each factor in `factors`.
     counts
         Number of trials in each mean, shape (users, levels).
     groups

@@ -171,9 +171,9 @@ TASKS = {
 }
 """Tasks by name.
 
-The stiffness of the specimens of T1 and T2 is 0.7, 1 and 1.3 times the usual stiffness. The bone
-density of the specimens of T3 is 0.6, 1 and 1.1 times the usual density. Reaming has at most 60
-trials, two for each person.
+T1 and T2 have three specimens with 0.7, 1 and 1.3 times the usual stiffness. T3 has three specimens
+with 0.6, 1 and 1.1 times the usual bone density. Reaming has at most 60 trials, two for each
+person.
 """
 METHODS: dict[str, Mapping[str, object]] = {
     "penalty": {"renderer": "penalty"},

@@ -54,7 +54,7 @@ NUMBERS = 24
 @suggests_arguments
 @dataclass(frozen=True)
 class Trial:
-    """Result of a trial.
+    """Result of a trial under all methods of a study.
 
     Attributes
     ----------
@@ -106,7 +106,8 @@ class TrialScene:
         Person of the trial, with the true perceptual parameters. Methods use only the parameters
         that a calibration estimates.
     pace
-        Factor on the speed along the path, or on the rate of increase of a pushing force.
+        Factor on the speed of the hand along its path, or on the rate at which a pushing force
+        increases.
     """
 
     scenes: Mapping[str, Scene]

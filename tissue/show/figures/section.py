@@ -1,5 +1,6 @@
-"""Section through the deepest point of the tool, with layers, removed tissue, stress and structures
-to keep clear of.
+"""Figure of the section of a tissue through the deepest point of a tool.
+
+The section shows layers, removed tissue, stress and protected structures.
 """
 
 from dataclasses import dataclass
