@@ -227,8 +227,7 @@ class Quantisation(Page):
         critical = critical_stiffness_N_m(loop)
 
         def buzzing(friction: float) -> dict[str, float]:
-            """Return the lowest stiffness with buzzing, the highest quiet stiffness, and two
-            bounds.
+            """Return the lowest buzzing stiffness, the highest quiet one, and two bounds.
 
             The bounds are the bound from encoder and friction, and the critical stiffness.
             """

@@ -5,9 +5,9 @@ The quadrature uses no voxels, and no surface elements that are fixed to the too
 The surface of the cutter is the half section r(s), z(s), rotated about the tool axis by the angle
 phi. s is the length along the half section. The tool has N cutting edges and spins at omega.
 Averaged over a revolution, the surface element ds dphi contains a cutting edge of length ``N ds
-dphi / (2 pi)``, which is ``N dA / (2 pi r)`` for its area dA. Let v be the velocity of a surface
-point without the spin, and n the outward normal. The chip thickness is h = max(0, v . n) 2 pi / (N
-omega), and the force on the surface element is::
+dphi / (2 pi)``. For the area dA of the element, this is ``N dA / (2 pi r)``. Let v be the velocity
+of a surface point without the spin, and n the outward normal. The chip thickness is h = max(0, v .
+n) 2 pi / (N omega), and the force on the surface element is::
 
     dF = - (N / 2 pi) [(K_tc c + K_te e) t + (K_rc c + K_re e) n + (K_ac c + K_ae e) a] ds dphi
 

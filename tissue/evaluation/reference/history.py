@@ -262,8 +262,8 @@ SAFETY_OUTSIDE = 3.0
 STEEPEST = 30.0
 """Largest absolute value of an observed order of convergence; larger orders are infinite.
 
-With three grids whose spacings have the ratio 1.2, an order of 30 means that the difference between
-coarse and middle grid is 240 times that between middle and fine grid.
+For spacings in the ratio 1.2, an order of 30 means: the forces on the coarse and middle grids
+differ 240 times as much as the forces on the middle and fine grids.
 """
 
 

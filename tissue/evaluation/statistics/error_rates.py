@@ -25,7 +25,7 @@ POPULATIONS = 2_000
 With this number, a rate of 5 % has a standard error of 0.5 %.
 """
 QUESTIONS = {"method": ((0,), False), "group": ((), True), "group x method": ((0,), True)}
-"""For each question: indices of the tested factors within users, and True if group matters."""
+"""For each question: indices of the tested factors within users; True if groups are compared."""
 
 
 @dataclass(frozen=True)
@@ -76,15 +76,15 @@ def redrawn_power(
     proportional to the covariance of the group. Without the noise, the estimated rate of false
     alarms would be too high, because the same few users are drawn repeatedly.
 
-    In 25 normal studies with a true rate of 5 %, the mean estimate for sign flips is 5.1 to 5.4 %,
-    depending on the question (3.7 to 6.4 % in single studies). Without the noise, the mean estimate
-    is 5.6 to 7.8 % (up to 10.8 % in single studies). The estimate for the F test is too high,
-    because the covariance of ten users is never exactly spherical. Its mean is 5.5 % for groups,
-    5.9 % for methods and 7.1 % for their interaction (up to 8.4 %). ``python
-    tests/bench/bench_null.py --only redrawn`` measures these rates.
+    The estimate was tested in 25 simulated studies with normal data and a true rate of false alarms
+    of 5 %. For sign flips, the mean estimate is 5.1 to 5.4 %, depending on the question (3.7 to 6.4
+    % in single studies). Without the noise, the mean estimate is 5.6 to 7.8 % (up to 10.8 % in
+    single studies). The estimate for the F test is too high, because the covariance of ten users is
+    never exactly spherical: 5.5 % for groups, 5.9 % for methods and 7.1 % for their interaction on
+    average (up to 8.4 %). ``python tests/bench/bench_null.py --only redrawn`` measures these rates.
 
-    The returned power is that for the measured size of the effect. It is too high if the true
-    effect is zero or small, because the measured size contains a random error.
+    The returned power is the power for an effect of the measured size. The power is too high if the
+    true effect is zero or small, because the measured size contains a random error.
 
     Parameters
     ----------
