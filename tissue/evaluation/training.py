@@ -34,7 +34,8 @@ LEAST_TRIALS = 6
 MOST_TRIALS = 10_000
 """Largest number of recorded runs.
 
-So many runs would take days; a larger number is assumed to be a typing error.
+The number is a hundred times that for the shipped predictors, and would take days. A larger number
+is assumed to be a typing error.
 """
 HELD_OUT = 4
 """One of this number of runs is used for validation, the others for training.

@@ -40,8 +40,8 @@ OBLIQUE = np.array([0.48, -0.36, 0.8])
 LIGHT = 1e-4
 """Factor on the mass of the tool in runs that approximate a massless, quasi-static tool.
 
-The factor also reduces the damping between tool and device to a hundredth, because the damping is
-proportional to the square root of the mass.
+The value is a choice. The factor also reduces the damping between tool and device to a hundredth,
+because the damping is proportional to the square root of the mass.
 """
 SECONDS = {"milling": 1.4, "glenoid": 2.4, "pedicle": 1.1, "molar": 1.7, "caries": 1.6}
 """Duration of the run of each cutting scene [s]. The run includes one second of contact."""

@@ -127,8 +127,8 @@ def over_gap(kind: FaultKind, gaps: Array) -> Table:
 class LostSamples(Page):
     """Lost, late or repeated samples, with and without the sample guard.
 
-    Without the guard, the force keeps its last value, or drops to zero in a single tick. With the
-    guard, the force fades during the fault and returns after it.
+    Without the guard, the force keeps its last value, or drops in a single tick. With the guard,
+    the force fades during the fault and returns after it.
     """
 
     name = "lost_samples"

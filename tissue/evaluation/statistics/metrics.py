@@ -104,7 +104,8 @@ def latency_ms(
     tick_s
         Time from tick to tick [s].
     longest_ms
-        Largest tested shift in both directions [ms].
+        Largest tested shift in both directions [ms]. The default is twelve times the latency of the
+        haptic loop in a study.
 
     Raises
     ------

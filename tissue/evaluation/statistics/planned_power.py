@@ -20,7 +20,10 @@ methods penalty and Koopman differ by 2.8 to 2.9 standard deviations.
 POWER = 0.8
 """Power for which the number of people in a study is planned (Cohen 1988, section 2.4)."""
 MOST_PEOPLE = 200
-"""Largest number of people per group that is tried in the search for a planned number."""
+"""Largest number of people per group that is tried in the search for a planned number.
+
+No effect of a registered plan needs so many people.
+"""
 POPULATIONS = 20_000
 """Number of simulated studies from which one value of the power is computed.
 

@@ -43,7 +43,10 @@ OTHERS = ("#56B4E9", "#009E73", "#F0E442", "#0072B2")
 LINES = ("solid", "dashed", "dotted")
 """Line styles of outlines. After all colours were used, the next line style is taken."""
 NORMAL_MM = 12.0
-"""Length [mm] of the arrow that shows the normal of the bone's surface in CT slices."""
+"""Length [mm] of the arrow that shows the normal of the bone's surface in CT slices.
+
+An arrow of this length is visible in slices of a joint.
+"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,7 +28,8 @@ DPI = 200
 VECTOR_DPI = 2 * DPI
 """Pixels per inch of images and renderings in SVG and PDF files.
 
-Lines and text are vectors.
+Lines and text are vectors. The value is the resolution of the renderings in
+`tissue.show.figures.rendering`.
 """
 STYLE: "dict[RcKeyType, float]" = {
     "font.size": 9.0,

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 MOST_EVENTS = 6
 """Largest number of events that are numbered and listed below a picture.
+
+A list of more events would be higher than a panel.
 """
 FOOTNOTE_LETTERS = 92
 """Largest number of letters in a footnote line: 8.5 points in 7 inches; 101 do not fit."""
@@ -222,8 +224,7 @@ def _draw_path(axes: "Axes", run: Run) -> None:
 
 
 MOMENT_S = 0.06
-"""Duration [s] of an enlarged interval, in which latencies of milliseconds are visible.
-"""
+"""Duration [s] of an enlarged interval, in which latencies of milliseconds are visible."""
 LINES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("model_force", "the tissue's, at the device's scale", {"color": "0.6", "linewidth": 3.0}),
     ("raw_force", "as the renderer gives it", {"color": "#0072B2", "linewidth": 1.6}),

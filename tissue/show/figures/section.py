@@ -42,6 +42,8 @@ LAYERS_APART_MM = 1e4
 """Artificial distance [mm] between layers, so that the nearest cell is in the same layer."""
 DECADES = 3.0
 """Largest span of a logarithmic colour scale [decades].
+
+With more decades, the colours of neighbouring values could not be distinguished.
 """
 
 
