@@ -1,4 +1,4 @@
-"""Evaluation of the engine: charts, atlas, study, calibration, statistics, training.
+"""Evaluation of the simulation engine: accuracy, stability, user studies and training.
 
-The engine does not import this package.
+The simulation itself does not import this package.
 """

@@ -30,10 +30,10 @@ from tissue.simulation.run_folder import Summary
 from tissue.simulation.trace import Table
 
 GAP_S = 0.15
-"""Longest time between two breaches that count as one breach [s]; about one period of slow tremor.
+"""Longest time [s] between two exceeded limits that count as one; a period of slow tremor.
 
-Without this rule, a trembling hand whose mean position lies at a limit would cause one breach in
-each period of the tremor.
+Without this rule, a trembling hand near a limit would exceed the limit once in each period of the
+tremor.
 """
 FORCE_MARGIN = 1.25
 """Default limit of the trainee's force, divided by the peak force of the reference run.
@@ -43,9 +43,9 @@ The value is a convention, not a standard.
 
 
 class NoSharedContactError(InputError):
-    """Error for a run that does not touch the tissue where the reference run does.
+    """Error for a run that does not touch the tissue at the places where the reference run does.
 
-    `reason` states what the run did instead, for example "touches nothing".
+    The attribute `reason` describes the contact of the run, for example "touches nothing".
     """
 
     def __init__(self, reason: str) -> None:
@@ -93,8 +93,8 @@ class Quantity:
     limit
         Limit of the values.
     reference
-        Values in the reference run at the place aligned with each tick of the trainee, shape
-        (ticks,). NaN for ticks without an aligned place. None if the quantity has no value in the
+        Value in the reference run at the place that corresponds to each tick of the trainee's run,
+        shape (ticks,). NaN for ticks without such a place. None if the quantity has no value in the
         reference run.
     limited
         True for ticks in which the limit applies, shape (ticks,). None if it applies in all ticks.
@@ -136,22 +136,22 @@ class Assessment:
     steadiness
         Tremor and score of the trainee's hand. None if the run has no score.
     figures
-        Results by name. The name of a number ends with its unit. Results of both runs are given as
-        {"trainee": ..., "reference": ...}.
+        Results, keyed by name; the name of a numerical result ends with its unit. A result of both
+        runs is a dict {"trainee": ..., "reference": ...}.
     breaches
-        Spans of time in which a limit was exceeded, in the order of time.
+        Time spans in which a limit was exceeded, in chronological order.
     events
-        Events that occur only in the trainee's run, each as a time [s] and a sentence. Sentences
-        that differ only in numbers are the same event.
+        Events that occur only in the trainee's run, each as a time [s] and a sentence. Two events
+        count as equal if their sentences differ only in numbers.
     time_s
         Times of the trainee's ticks [s], shape (ticks,).
     deviation, force, depth
-        The three assessed quantities: distance of the tool from the path of the reference run [mm],
-        size of the force [N], and depth [mm]. The depth is measured along the mean tool axis of the
-        reference run, from the place of the first contact in that run.
+        The three assessed quantities: distance [mm] between the tool and the path of the reference
+        run, magnitude of the force [N], and depth [mm]. The depth is measured along the mean tool
+        axis of the reference run, from the place of the first contact in that run.
     notes
-        One sentence for each difference between the two runs that limits the meaning of the
-        figures.
+        One sentence for each difference between the two runs because of which `figures` cannot be
+        fully compared.
     unscored
         Reason why the run has no score. Empty if the run has a score.
     """
@@ -169,7 +169,7 @@ class Assessment:
 
     @property
     def breached(self) -> tuple[str, ...]:
-        """Names of the structures to keep clear that the trainee's tool breached."""
+        """Names of the protected structures that the trainee's tool breached."""
         return tuple(
             name
             for name, each in self.figures["keep_clear"].items()
@@ -187,9 +187,9 @@ def assess(
 ) -> Assessment:
     """Compare a run with a reference run of the same scene.
 
-    The runs are aligned by place, not by time. Dynamic time warping (Sakoe and Chiba 1978) of the
-    tool's paths finds the corresponding moment of the reference for each tick of the trainee. A
-    pause is therefore not an error.
+    The runs are aligned by place, not by time. For each tick of the trainee's run, dynamic time
+    warping (Sakoe and Chiba 1978) of the two tool paths finds the corresponding tick of the
+    reference run. A pause of the trainee is therefore not an error.
 
     The score rates the steadiness of the hand (see `tissue.evaluation.steadiness`). Distances from
     the path and forces do not affect the score, because they depend more on the device than on the
@@ -202,11 +202,11 @@ def assess(
     force_limit_N
         Limit of the force on the tool [N]. Default: 1.25 times the peak force of the reference run.
     deviation_limit_mm
-        Limit of the distance from the path of the reference run [mm]. The limit applies in ticks in
-        which the trainee's tool touches the tissue, or the reference tool touches it at the aligned
-        place.
+        Limit of the distance from the path of the reference run [mm]. The limit applies only in
+        ticks with contact: either the trainee's tool touches the tissue, or the tool of the
+        reference run does at the corresponding place.
     overshoot_limit_mm
-        Allowed depth of the tip below the reference's deepest point [mm].
+        Allowed depth [mm] of the tip below the deepest point of the tip in the reference run.
 
     Raises
     ------
@@ -216,8 +216,7 @@ def assess(
     OtherTaskError
         If the runs have different tasks (another anatomy, tool or material).
     NoSharedContactError
-        If the trainee's run has no contact, or the reference run has no contact at any of the
-        aligned places.
+        If the trainee's run has no contact, or the two runs have no contact at common places.
     """
     require_same_task(trainee, reference)
     mine = _trace(trainee, "run")
@@ -313,7 +312,7 @@ def _without_numbers(event: str) -> str:
 
 
 def _notes(trainee: AssessedRun, reference: AssessedRun) -> Iterator[str]:
-    """Yield sentences on differences of the scenes, and on runs that are not valid to the end."""
+    """Yield warnings about different scenes and about runs that are valid only up to some time."""
     yield from scene_notes(trainee.scene, reference.scene)
     yield from coupling_notes(trainee, reference, "the reference")
     for who, run in (("trainee", trainee), ("reference", reference)):
@@ -344,7 +343,7 @@ def _steadiness(run: AssessedRun, trace: Table, scale: Materials) -> tuple[Stead
     """Return tremor and score of the hand in a run, or the reason why the run has no score.
 
     `scale` holds the constants of the reference run, which define the tremors with the scores 0 and
-    100. A trainee's run that changed constants of the hand would otherwise have another scale.
+    100. With changed constants of the trainee's run, the scale would differ.
     """
     if run.scene is None or run.scene.device is None or "device_x_mm" not in trace.columns:
         return None, "the run has no device whose constants are known"
@@ -361,10 +360,10 @@ def _steadiness(run: AssessedRun, trace: Table, scale: Materials) -> tuple[Stead
 
 
 def _keep_clear(summary: Summary, trace: Table) -> dict[str, dict[str, float | None]]:
-    """Return smallest distance to and breach of each structure that a run has to keep clear of.
+    """Return the smallest tool distance and the breach, if any, for each protected structure.
 
-    The summary of a run that was stopped does not contain these values. They are then computed from
-    the distances in the trace.
+    For a run that was stopped early, the values are computed from the distances in the trace,
+    because its summary does not contain them.
     """
     if "keep_clear" in summary:
         return dict(summary["keep_clear"])

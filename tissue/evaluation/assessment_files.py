@@ -66,7 +66,7 @@ def _structure_lines(found: Assessment) -> list[str]:
 
 
 def _mistakes(found: Assessment) -> str:
-    """Return the text for exceeded limits and breaches, such as "2 times over a limit"."""
+    """Return a text that counts exceeded limits and breaches, such as "2 times over a limit"."""
     times = len(found.breaches)
     limits = "1 time over a limit" if times == 1 else f"{times} times over a limit"
     return f"{limits}, {' and '.join(found.breached)} breached" if found.breached else limits
@@ -90,7 +90,7 @@ def assessed_section(trainee: AssessedRun, reference: AssessedRun) -> tuple[list
 
 
 def _run_lines(trainee: AssessedRun, reference: AssessedRun) -> list[str]:
-    """Return a line for each run with the end of its path, which contains the person's name.
+    """Return a line for each run with the last parts of its folder path.
 
     A run that exists only in memory has no folder and gets no line.
     """
@@ -106,7 +106,8 @@ def _run_lines(trainee: AssessedRun, reference: AssessedRun) -> list[str]:
 def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> list[Path]:
     """Write ``assessment.json`` and ``assessment.png``.
 
-    Raises InputError if the folder is a file, or holds another assessment.
+    Raises InputError if `folder` is a file, or already contains an assessment and `overwrite` is
+    false.
     """
     data = {
         "steadiness": None if found.steadiness is None else asdict(found.steadiness),
@@ -130,7 +131,8 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
 def draw_assessment(found: Assessment, path: Path) -> None:
     """Draw the quantities of trainee and reference over time, and the limits.
 
-    Spans of time above a limit are shaded. A line marks the first breach of each structure.
+    Time spans in which a quantity exceeds its limit are shaded. A line marks the first breach of
+    each structure.
     """
     # inches for three panels below each other; the margins are shares of the figure, with space
     # for title and legend on top

@@ -1,4 +1,4 @@
-"""Ranking of trainees by breaches and scores of their runs, with learning curves."""
+"""Ranking of trainees by breached structures and scores of their runs."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 FILES = ("ranking.csv", "ranking.png")
 LEAST_ATTEMPTS = 3
-"""Smallest number of attempts of a trainee from whose spread an interval is computed."""
+"""Smallest number of attempts for an interval from the spread of a trainee's scores."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = "os^DvPX"
 BREACHED = "#D55E00"
 INCH_PER_ROW = 0.32
-"""Height of the row of each trainee in the picture [inches]."""
+"""Height [inches] of a trainee's row in the picture."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Attempt:
 
     @property
     def steadiness(self) -> Steadiness:
-        """Tremor and score of the hand in the run. Every attempt has a score."""
+        """Tremor and score of the hand in the run."""
         assert self.found.steadiness is not None, self.name
         return self.found.steadiness
 
@@ -69,7 +69,7 @@ class Person:
 
     @property
     def breached_share(self) -> float:
-        """Fraction of the attempts in which the tool breached a structure to keep clear."""
+        """Fraction of the attempts in which the tool breached a protected structure."""
         return sum(bool(each.found.breached) for each in self.attempts) / len(self.attempts)
 
     @property
@@ -90,7 +90,7 @@ class Person:
 
     @property
     def gain(self) -> tuple[float, float, float] | None:
-        """Change of the score from one attempt to the next, with the ends of its 95 % interval.
+        """Mean change of the score from attempt to attempt, and the ends of its 95 % interval.
 
         The change is the slope of a straight line that is fitted to the scores. The result is None
         for fewer than three attempts.
@@ -119,11 +119,11 @@ class Ranking:
     people
         Ordered trainees.
     left_out
-        Sentence for each run that is not ranked. Such a run has another task, has no score, or has
-        no contact where the reference run has contact.
+        Sentence with the reason for each run that is not ranked. For example, the run has another
+        task than the reference run, or no score.
     notes
-        Names of runs, keyed by the sentence on a difference between their scenes and the scene of
-        the reference run.
+        Sentences about differences from the scene of the reference run. Each sentence is the key of
+        the names of the runs to which it applies.
     """
 
     scene: str
@@ -133,7 +133,7 @@ class Ranking:
 
     @property
     def structures(self) -> list[str]:
-        """Names of the structures that the runs had to keep clear of."""
+        """Names of the protected structures in the scene."""
         attempts = (attempt for person in self.people for attempt in person.attempts)
         kept = (name for each in attempts for name in each.found.figures["keep_clear"])
         return list(dict.fromkeys(kept))
@@ -157,15 +157,15 @@ def rank(
     Parameters
     ----------
     folder
-        Folder with a folder for each trainee. The folder of a trainee is a run folder, or contains
-        the run folders of all attempts. Attempts are ordered by name: ``attempt2`` comes before
-        ``attempt10``.
+        Folder that contains a folder for each trainee. A trainee's folder is either a run folder,
+        or contains a run folder for each attempt. Attempts are ordered by name: ``attempt2`` comes
+        before ``attempt10``.
     reference
         Run with which all other runs are compared.
     load
         Function that reads the run of a folder.
     **limits
-        Limits for the runs of all trainees, see `tissue.evaluation.assessment.assess`.
+        Limits that all runs are assessed with, see `tissue.evaluation.assessment.assess`.
 
     Raises
     ------
@@ -270,7 +270,7 @@ def ranking_lines(found: Ranking) -> list[str]:
 def write_ranking(found: Ranking, folder: Path, *, overwrite: bool) -> list[Path]:
     """Write ``ranking.csv``, which has a row for each run, and ``ranking.png``.
 
-    Raises InputError if the folder is a file, or holds another ranking.
+    Raises InputError if `folder` is a file, or already contains a ranking and `overwrite` is false.
     """
     with OwnedFolder(folder, "ranking", FILES, overwrite=overwrite):
         rows = [
@@ -338,7 +338,7 @@ def _draw(found: Ranking, path: Path) -> None:
 
 
 def _look(place: int) -> tuple[str, str]:
-    """Return colour and marker of the trainee at a place.
+    """Return the colour and marker of the trainee at a place of the ranking.
 
     The first 49 trainees have different combinations of colour and marker.
     """
@@ -383,7 +383,7 @@ def _draw_distances(found: Ranking, axes: "Axes") -> None:
 
 
 def _draw_learning(people: Iterable[Person], axes: "Axes") -> None:
-    """Draw the score against the number of the attempt, for each trainee with several attempts."""
+    """Draw the score against the attempt for each trainee with several attempts."""
     for place, person in enumerate(people):
         if len(person.attempts) > 1:
             attempts = np.arange(1, len(person.attempts) + 1)
@@ -395,7 +395,7 @@ def _draw_learning(people: Iterable[Person], axes: "Axes") -> None:
 
 
 def _folders(folder: Path) -> list[Path]:
-    """Return the folders in a folder, sorted by name.
+    """Return the subfolders of a folder, sorted by name.
 
     Numbers in the names are compared as numbers.
     """

@@ -1,4 +1,4 @@
-"""Recorded runs of simulated hands, from which predictors are trained."""
+"""Recordings of runs with simulated hands, on which force predictors are trained."""
 
 from collections.abc import Sequence
 from copy import deepcopy
@@ -35,17 +35,17 @@ from tissue.simulation.reference_force import ideal_scene, rendered_force_N
 from tissue.simulation.simulate import TICK_S, build
 
 IDEAL_SHARE = 0.25
-"""Weight of the ideal force in the training targets, for a tool that does not cut.
+"""Weight of the ideal force in the training targets of predictors, if the tool does not cut.
 
-The ideal force contains no encoder steps and no noise of friction. The weight was chosen in the
-scene ``needle``, by the excess error of predictions 4 ms ahead, divided by the excess error of the
-zero-order hold. This ratio is 0.80 with a weight of 0, 0.57 with 0.25, and 0.94 with 0.5. With
-larger weights, the predicted force differs more from the observed force, so the guard uses the
-fallback. The ideal force of a cutting tool belongs to another cut than the recorded force. In the
-scene ``caries``, it is a worse target.
+The ideal force is the force of a haptic loop without delay, encoder steps and filters. The weight
+was chosen in the scene ``needle``, by the excess error of predictions 4 ms ahead divided by the
+excess error of zero-order hold. This ratio is 0.80 with a weight of 0, 0.57 with 0.25, and 0.94
+with 0.5. With larger weights, the predicted force differs more from the measured force, and the
+guard of the predictor replaces it. For a cutting tool, the ideal force is not used: it belongs to
+another cut than the recorded force. In the scene ``caries``, it is a worse target.
 """
 DELAYS_MS = (0, 4, 8)
-"""Latencies that the training runs use in turn [ms].
+"""Latencies of the haptic loop [ms], which the training runs use in turn.
 
 Several latencies are used, because a hand moves differently if the force is delayed.
 """
@@ -53,17 +53,17 @@ Several latencies are used, because a hand moves differently if the force is del
 
 @dataclass(frozen=True)
 class Recording:
-    """Data of a run that a predictor receives, and the exact data of the run, one row per tick.
+    """Measured and exact data of a run, one row per tick, for the training of predictors.
 
     Attributes
     ----------
     position_m, velocity_m_s
-        Position of the device as measured by its encoders [m], and velocity as estimated by the
-        filter of the loop [m/s], each of shape (n, 3).
+        Device position [m] that the encoders measure, and device velocity [m/s] that a filter
+        estimates from it, each of shape (n, 3).
     force_N
-        Force on the device without delay [N], shape (n, 3).
+        Force [N], shape (n, 3), that the device would apply without delay.
     contact
-        Contact data that the loop passes to predictors, one entry for each tick.
+        Contact data that predictors receive, one entry for each tick.
     group, seed
         Expertise group of the hand, and seed of the run.
     true_position_m
@@ -84,19 +84,20 @@ class Recording:
     ideal_N: Array | None = None
 
     def samples(self) -> tuple[Array, Array]:
-        """Return training coordinates (n, COORDINATES, 3) and targets (n, 2 HORIZON, 3).
+        """Return training inputs (n, COORDINATES, 3) and targets (n, 2 HORIZON, 3).
 
-        The n ticks are those for which all targets are known. Before the first tick, the device is
-        assumed to be at rest. All targets are in metres.
+        The n rows are the ticks for which all targets are known. Before the first tick, the device
+        is assumed to be at rest. All targets are in metres.
 
-        The first half of the targets are displacements from the measured position of the device to
-        its later true positions, which have no encoder steps.
+        The first HORIZON targets are displacements from the measured device position to the true
+        device positions in later ticks.
 
-        The other half are changes of the stretch (force divided by spring stiffness) from the
-        present tick to later ticks. A later stretch is the vector from the true position of the
-        device to the tool, or zero without contact. For a tool that cuts, the filter of the loop is
-        applied to the true positions first. For other tools, a later stretch is the weighted mean
-        of this vector and of the ideal force divided by the spring stiffness; see `IDEAL_SHARE`.
+        The other targets are changes of the stretch of the coupling spring from the present tick to
+        later ticks. The stretch is the force divided by the spring stiffness. In a later tick, it
+        is the vector from the true device position to the tool, or zero without contact. For a tool
+        that cuts, the true positions are filtered first, as in the haptic loop. For other tools,
+        this vector is averaged with the ideal force divided by the spring stiffness; see
+        `IDEAL_SHARE`.
         """
         true = self.position_m if self.true_position_m is None else self.true_position_m
         if self.contact[0].cuts:
@@ -122,9 +123,9 @@ class Recording:
 
 
 def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float = 1.0) -> Scene:
-    """Return the scene of a trial.
+    """Return the scene of a training run.
 
-    Successive trials use the hands, the latencies and the seeds in turn. The run uses no predictor,
+    Successive runs use the simulated hands and the latencies in turn. The run uses no predictor,
     and computes no stress field.
 
     Parameters
@@ -132,13 +133,12 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
     scene
         Scene. If it has no device, the device Touch is used.
     index
-        Number of the trial, which is also its seed.
+        Number of the run, which is also its seed.
     delay_ms
         Latency [ms]. Default: the values of `DELAYS_MS` in turn.
     share
-        Factor on the force of the tissue for the same motion. If the force is linear in the moduli
-        or in the cutting coefficients, this is equivalent to multiplying these constants by the
-        factor.
+        Factor on the force of the tissue. If the force is linear in the moduli or in the cutting
+        coefficients, the factor has the same effect on these constants.
     """
     delay = DELAYS_MS[index // len(GROUPS) % len(DELAYS_MS)] if delay_ms is None else delay_ms
     held = scene if scene.device is not None else changed(scene, {"device": "touch"})
@@ -162,7 +162,7 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
 
 
 class Recorder:
-    """Recorder of the trials of one scene.
+    """Recorder of training runs of one scene.
 
     A linear elastic organ is built only once, because a run does not change its model.
     """
@@ -214,17 +214,17 @@ class Recorder:
         )
 
     def ideal_force_N(self, scene: Scene, run: Recording) -> Array:
-        """Compute the force of the ideal loop on the device path of a run [N], shape (n, 3).
+        """Compute the ideal force [N] on the device path of a run, shape (n, 3).
 
-        See `tissue.simulation.reference_force.ideal_force_N`.
+        The ideal force is that of a loop without delay, encoder steps and filters; see
+        `tissue.simulation.reference_force.ideal_force_N`.
 
         Parameters
         ----------
         scene
             Scene of the run.
         run
-            Run whose device path is used: the true positions if they are known, otherwise the
-            measured ones.
+            Run whose device path is used. True positions are preferred to measured positions.
 
         Raises
         ------
@@ -264,9 +264,9 @@ class Recorder:
 
 
 def _run(motion: HandMotion, tissue: TissueModel, ticks: int) -> tuple[Array, list[Contact]]:
-    """Run some ticks; return their data and their contacts.
+    """Simulate a number of ticks; return a data row and the contact of each tick.
 
-    The data have shape (n, 9): measured position [m], force [N] and true position [m].
+    The rows contain measured position [m], force [N] and true position [m], shape (n, 9).
     """
     stepper = Stepper(motion, tissue)
     stepper.place()

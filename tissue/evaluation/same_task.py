@@ -1,4 +1,4 @@
-"""Assessed run, and comparison of its task with the task of a reference run."""
+"""Run to be assessed, and check that it has the same task as a reference run."""
 
 import filecmp
 import tomllib
@@ -18,22 +18,22 @@ from tissue.simulation.trace import Table
 TASK = ("anatomy", "keep_clear", "organ", "cutting", "tool")
 """Parts of a scene that define the task.
 
-The correct forces and depths depend on these parts.
+Correct forces and depths of the tool depend on these parts.
 """
 NUMERICAL = frozenset(
     f"organ.{name}" for name in ("law_interval_ms", "order", "path", "basis_size", "interval_ms")
 )
-"""Scene keys in the parts of `TASK` that change only the computation, and not the task."""
+"""Numerical keys in the scene parts of `TASK`, which may differ between runs of one task."""
 FREE = ("name", "description", "seed", "device", "output", "fidelity")
-"""Parts of a scene that may differ between a trainee's run and the reference run without a note.
+"""Scene keys that may differ between a trainee's run and the reference run without a note.
 
-These parts describe the run, the user who moves the tool, and the device. For differences of the
-coupling, which belongs to the device, `coupling_notes` yields notes.
+These keys describe the run, the user who moves the tool, and the device. Differences of the
+coupling are reported by `coupling_notes`.
 """
 OPERATOR = ("hands", "devices")
-"""Tables of constants that may differ between two runs of the same task.
+"""Tables of constants, of user and device, that may differ between runs of the same task.
 
-They describe the user and the device.
+All other constants that the tissue and the tool of the run use must be equal.
 """
 
 
@@ -109,8 +109,7 @@ def coupling_notes(run: AssessedRun, other: AssessedRun, name: str) -> Iterator[
     """Yield a note if the motion scale or the force scale of the coupling differs between two runs.
 
     These scales change motion and force at the device, from which the score is computed. A run
-    without a device has no coupling and gives no note. `name` is the name of the other run in the
-    notes.
+    without a device has no coupling and gives no note. `name` is the name for `other` in the notes.
     """
     if run.scene is None or other.scene is None:
         return
@@ -135,7 +134,7 @@ def coupling_notes(run: AssessedRun, other: AssessedRun, name: str) -> Iterator[
 
 
 def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]:
-    """Yield a sentence for each difference of two scenes that is outside `TASK` and `FREE`."""
+    """Yield a sentence for each differing scene key that is neither in `TASK` nor in `FREE`."""
     if trainee is None or reference is None:
         yield "a run has no scene.toml: whether both are of one tissue and tool is not known"
         return
@@ -159,7 +158,7 @@ def scene_differences(*scenes: Scene) -> dict[str, tuple[object, ...]]:
 def _differences(one: Scene, other: Scene) -> Iterator[tuple[str, object, object]]:
     """Yield each key whose value differs between two scenes, with both values.
 
-    Files of the same content count as equal. A missing value is "nothing".
+    Files of the same content count as equal. The value of a missing key is "nothing".
     """
     for key, values in scene_differences(one, other).items():
         if not _same_file(key, *values):

@@ -1,4 +1,4 @@
-"""Stability map of a scene's loop, in words and as files: `tissue stability`."""
+"""Stability map of a scene's haptic loop, in words and as files (`tissue stability`)."""
 
 from pathlib import Path
 
@@ -30,8 +30,8 @@ LINES = {
 def scene_stability(scene: Scene) -> StabilityMap:
     """Compute the stability map of the closed loop of a scene's device and operator.
 
-    The hand is modelled with or without its stretch reflex. The map is computed for the variant
-    with the lower critical stiffness.
+    The hand is modelled with and without its stretch reflex; the model with the lower critical
+    stiffness is used.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def scene_stability(scene: Scene) -> StabilityMap:
 
 
 def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
-    """Return the stability of the chosen stiffness, and critical stiffnesses by delay, in words.
+    """Describe the stability of the coupling stiffness, and the limits by delay, in words.
 
     The critical stiffness at each delay is computed from eigenvalues and measured in a simulation.
     The passive bound is given too.
@@ -76,7 +76,7 @@ def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
 
 
 def _chosen(found: StabilityMap) -> str:
-    """Return the verdict on the chosen stiffness, with the delay at which it holds."""
+    """Describe whether the coupling stiffness is stable, and for which delay this is valid."""
     chosen = found.chosen
     verdict = found.verdict.sentence(chosen.stiffness_N_m)
     return f"{verdict} at a delay of {1e3 * chosen.delay_s:g} ms"
@@ -87,13 +87,13 @@ def write_stability_files(
 ) -> list[Path]:
     """Write the picture of a stability map, and tables of the stability boundaries [N/m].
 
-    The table ``stability_damping.csv`` has the boundaries by damping, and ``stability_delay.csv``
-    by delay.
+    The tables are ``stability_damping.csv`` (boundaries against damping) and
+    ``stability_delay.csv`` (boundaries against delay).
 
     Raises
     ------
     InputError
-        If the folder is a file, or holds another map.
+        If `folder` is a file, or already contains a map and `overwrite` is false.
     """
     with OwnedFolder(folder, "map", FILES, overwrite=overwrite):
         _draw_stability(
@@ -113,7 +113,7 @@ def write_stability_files(
 
 
 def _draw_stability(found: StabilityMap, path: Path, *, title: str) -> None:
-    """Draw the charts of stiffness against damping and against delay.
+    """Draw the stable range of the coupling stiffness against damping and against delay.
 
     Shading marks points that are unstable by eigenvalues. The charts also show the measured
     boundary, theoretical bounds, and the chosen stiffness.

@@ -1,4 +1,4 @@
-"""Steadiness of a hand: tremor of the intended motion, from position and force of the device."""
+"""Tremor of a user's hand, estimated from position and force of a haptic device."""
 
 from dataclasses import dataclass
 from math import log, pi, sqrt
@@ -17,7 +17,7 @@ Spectrum = NDArray[np.complex128]
 BAND_HZ = 8.0, 12.0
 """Band of physiological tremor [Hz]; see `tremor_Hz` and `tremor_width_Hz` in hands.toml."""
 SMOOTH_HZ = 40.0
-"""Cut-off of the low-pass on the velocity from which the friction is computed [Hz].
+"""Cut-off [Hz] of a low-pass filter on the velocity that the friction model uses.
 
 The cut-off is above the tremor band.
 """
@@ -26,36 +26,36 @@ STICKS_M_S = 0.05
 
 While a device sticks, its friction is not known; it is at most the Coulomb friction. The speed was
 chosen between 0.005 and 0.1 m/s with `python tests/bench/bench_assessment.py --sticks`. With 0.005
-m/s, the tremor computed for slow scenes is twice as large on a device with 0.26 N of friction.
+m/s, the computed tremor is twice as large in slow scenes, on a device with 0.26 N of friction.
 """
 WINDOW_S = 0.25
-"""Length of the windows over which the tremor is averaged [s]: two to three periods of tremor."""
+"""Duration [s] of the windows over which the tremor is averaged: 2 to 3 tremor periods."""
 QUANTILE = 0.75
-"""Quantile over the windows that is taken as the tremor of the run.
+"""Quantile of the tremor over all time windows that is reported as the tremor of the run.
 
 The mean would depend too much on a few windows with an impact, and the median on windows in which
 the device sticks.
 """
 PAD_S = 0.5
-"""Time by which the signal is extended at both ends for the filters [s]."""
+"""Time [s] by which a signal is extended at both ends before it is filtered."""
 LEAST_WINDOWS = 4
 PATH_HZ = 4.0
-"""Cut-off of the low-pass that separates the motion along the path from the tremor [Hz].
+"""Cut-off [Hz] of the low-pass filter that separates voluntary motion from tremor.
 
 The cut-off is below the tremor band.
 """
 DRAWS = 1000
-"""Number of random draws of the tremor in all windows, from which the interval is computed."""
+"""Number of random draws of the tremor in each window, for the interval of the score."""
 LEAST_MM = 1e-4
 """Smallest tremor with which a score is computed [mm], far below the tremor of a hand.
 
 The score of zero tremor would be infinite.
 """
 TYPICAL = "intermediate"
-"""Expertise group whose grip is assumed, because the grip of an individual person is unknown."""
+"""Expertise group whose grip is assumed, because the grip of the assessed person is unknown."""
 NOVICE, EXPERT = "novice", "expert"
 SCALE = "0 is the tremor of a novice's hand alone, and 100 that of an expert's hand"
-"""Explanation of the scale of the score in printed results."""
+"""Explanation of the score's scale in printed results."""
 
 
 @dataclass(frozen=True)
@@ -65,16 +65,15 @@ class Steadiness:
     Attributes
     ----------
     tremor_mm
-        Root mean square of the intended motion between 8 and 12 Hz, all three axes together: the
-        `QUANTILE` over windows of the run.
+        Root mean square [mm] of the intended hand motion between 8 and 12 Hz, all three axes
+        together: the quantile `QUANTILE` over time windows of the run.
     score
         Score of the tremor: 0 for the tremor of a novice and 100 for the tremor of an expert, by
-        the constants of hands.toml. The score is linear in the logarithm of the tremor, and may
-        lie outside the range from 0 to 100. The computed tremor also depends on the task and on
-        the scales of the coupling, so only runs with equal scales are comparable.
+        the constants of hands.toml. The score is linear in the logarithm of the tremor, and may be
+        below 0 or above 100. Only runs of the same task with equal motion and force scales are
+        comparable.
     low, high
-        Ends of the 95 % interval of the score, from the scatter of the tremor in the windows of the
-        run.
+        Ends of the 95 % interval of the score, from random draws of the tremor in each window.
     """
 
     tremor_mm: float
@@ -105,9 +104,8 @@ def steadiness(
     Raises
     ------
     InputError
-        If the run is too short, or the device moved too slowly. If a device moves more slowly than
-        the tremor of a novice, it stops and reverses in every period, and its friction hides the
-        tremor.
+        If the run is too short, or the device moved too slowly: friction then hides the tremor,
+        because the device stops and reverses in every period of the tremor.
     """
     ticks = round(WINDOW_S / TICK_S)
     count = len(position_m) // ticks
@@ -152,13 +150,13 @@ def hand_motion_m(
     *,
     band_Hz: tuple[float, float],
 ) -> Array:
-    """Compute the intended motion of the hand [m], shape (n, 3), in a band of frequencies.
+    """Compute the intended motion of a hand [m], shape (n, 3), in a frequency band.
 
     In the model, the hand pulls the device towards the intended position by a spring, a damper and
     a reflex. The force of the hand follows from the measured motion of the device, from its
     inertia, damping and friction, and from the force of its motors. The model is then solved for
-    the intended position. The result does not depend on the device or on the tissue, as far as the
-    grip is known. The filters have no phase lag.
+    the intended position. If the parameters of the grip are correct, the result does not depend on
+    device and tissue. The filters have no phase lag.
 
     Parameters
     ----------
@@ -168,7 +166,7 @@ def hand_motion_m(
     device, grip
         Parameters of device and grip. The mass of the grip is added to the mass of the device.
     band_Hz
-        Ends of the band, at which the filter halves the amplitude.
+        Ends of the frequency band. The filter halves the amplitude at these frequencies.
     """
     frequency = _frequencies_Hz(len(position_m))
     s = 2j * np.pi * frequency
@@ -189,7 +187,7 @@ def hand_motion_m(
 
 
 def _require_motion(position_m: Array, novice: HandParameters) -> None:
-    """Check that a device moves faster than a novice's tremor for a quarter of the time or more."""
+    """Check that a device moves faster than a novice's tremor for at least 25 % of the time."""
     frequency = _frequencies_Hz(len(position_m))
     place = _spectrum(position_m - position_m[0])
     along = 2j * np.pi * frequency * place / (1.0 + (frequency / PATH_HZ) ** 4)
@@ -212,7 +210,7 @@ def _frequencies_Hz(ticks: int) -> Array:
 
 
 def _spectrum(values: Array) -> Spectrum:
-    """Return the spectrum of values with one row per tick, which are extended at both ends."""
+    """Return the spectrum of values, one row per tick, after their extension at both ends."""
     pad = round(PAD_S / TICK_S)
     return np.fft.rfft(np.pad(values, ((pad, pad), (0, 0)), mode="edge"), axis=0)
 

@@ -1,4 +1,4 @@
-"""Training of the predictors of a scene: fit to recorded runs, prediction errors, validation."""
+"""Training and validation of force predictors on recorded runs of a scene."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -30,29 +30,27 @@ from tissue.simulation.builders.prediction import FALLBACKS, trained_predictor
 TRIALS = 12
 """Default number of recorded runs of a scene: four for each expertise group."""
 LEAST_TRIALS = 6
-"""Smallest number of recorded runs. With this number, one run is used for validation."""
+"""Smallest number of recorded runs, of which one is used for validation."""
 MOST_TRIALS = 10_000
 """Largest number of recorded runs.
 
-This is a hundred times as many runs as for the shipped predictors, and would take days. A larger
-number counts as a typing error.
+The number is a hundred times that for the shipped predictors, and would take days. A larger number
+is assumed to be a typing error.
 """
 HELD_OUT = 4
-"""Number of runs of which one is used for validation.
+"""One of this number of runs is used for validation, the others for training.
 
-The other runs are used for training.
-
-Runs use the three expertise groups in turn. This number and 3 have no common factor, so the groups
-are used for validation in turn too.
+Successive runs have hands of the three expertise groups in turn. Because 4 and 3 have no common
+factor, successive validation runs have different groups too.
 """
 HORIZONS = (1, 2, 3, 4, 6, 8, 10)
-"""Horizons at which predictors are compared [ticks]."""
+"""Prediction horizons at which predictors are compared [ticks]."""
 LEAST_RUNS = 3
 MARGIN = 3.0
-"""Limit of the mean square of the scaled coordinates, divided by the largest value in training.
+"""Limit of the scaled inputs' mean square, relative to the largest value in training.
 
-The coordinates are past displacements and stretches. Above the limit, they count as outside the
-training range. The value is assumed.
+The inputs of the predictor are past displacements of the device and stretches of the coupling
+spring. Above the limit, inputs count as outside the training range. The value is assumed.
 """
 
 
@@ -61,11 +59,11 @@ def train(
 ) -> Trained:
     """Train the predictors of a scene on runs with simulated hands, and validate the predictors.
 
-    The hands are of all expertise groups.
+    The runs have hands of all expertise groups.
 
     The validation uses runs that are not used for training.
 
-    The seed of the scene is not used, because trial i has the seed i.
+    Run i has the seed i; the seed of the scene is ignored.
 
     Raises
     ------
@@ -108,11 +106,12 @@ def train(
 
 
 def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float) -> Trained:
-    """Return the trained predictors with the best fallback for the guard.
+    """Return the trained predictors with the best fallback predictor.
 
-    The fallback is the predictor of `FALLBACKS` with the smallest mean error.
+    A guard uses the fallback if it rejects a prediction. The fallback is the predictor in
+    `FALLBACKS` with the smallest mean error.
 
-    The predictors in `FALLBACKS` have no operator.
+    The predictors in `FALLBACKS` have no trained operator.
     """
     errors = _mean_errors(FALLBACKS, trained, touching(runs), force_limit_N, (VALIDATED_AT,))
     return replace(trained, fallback=min(errors, key=lambda kind: errors[kind][0]))
@@ -125,7 +124,7 @@ def _mean_errors(
     force_limit_N: float,
     horizons: Sequence[float] = HORIZONS,
 ) -> dict[str, list[float]]:
-    """Return the mean error over runs for each predictor, as a list over the horizons."""
+    """For each predictor, return a list with the mean error over all runs at each horizon."""
     errors = {}
     for kind in kinds:
         make = partial(trained_predictor, kind, trained, force_limit_N=force_limit_N)
@@ -139,7 +138,7 @@ def validated(trained: Trained, held_out: list[Recording], force_limit_N: float)
     Raises
     ------
     InputError
-        If none of these runs has contact.
+        If no run in `held_out` has contact.
     """
     held_out = touching(held_out)
     if not held_out:
@@ -160,7 +159,7 @@ def validated(trained: Trained, held_out: list[Recording], force_limit_N: float)
 def fit(scene: str, runs: Sequence[Recording]) -> Trained:
     """Fit the operator of a scene to recorded runs.
 
-    The x, y and z axes have equal weight.
+    Motions along x, y and z have equal weight.
 
     Raises
     ------
@@ -201,7 +200,7 @@ def fit(scene: str, runs: Sequence[Recording]) -> Trained:
 
 
 def _largest_square(moments: Moments, seen_in_runs: Iterable[Array]) -> float:
-    """Return the largest value, over all ticks, of the mean square of the scaled coordinates.
+    """Return the largest value, over all ticks, of the mean square of the scaled inputs.
 
     The mean is taken over all axes together.
     """
@@ -216,11 +215,11 @@ def forecast(
     """Predict the force in every tick of a run at some horizons [ticks].
 
     Return the predicted forces [N], shape (n, horizons, 3), and a flag for each tick, shape (n,).
-    The flag is 1 if the force is mainly that of the primary predictor, and 0 if it is mainly that
-    of the fallback.
+    The flag is 1 if the predicted force comes mainly from the primary predictor, and 0 if it comes
+    mainly from the fallback.
 
-    As in a loop with a slow model, the predictor receives a force only every `model_ticks` ticks.
-    Between two forces, it receives the contact data of the last tick with a force.
+    To imitate a slow tissue model, the predictor receives a new force and new contact data only
+    every `model_ticks` ticks.
     """
     predicted = np.empty((len(run.force_N), len(horizons), 3))
     is_primary = np.empty(len(run.force_N))
@@ -267,8 +266,9 @@ def forecast_errors(
 
 
 def touching(runs: Sequence[Recording]) -> list[Recording]:
-    """Return the runs that have a force in ticks that can be predicted at all `HORIZONS`.
+    """Return the runs that have a nonzero force in ticks that can be predicted.
 
-    In a short scene, a hand may not reach the tissue before the run ends.
+    A tick can be predicted if it is reached with every horizon in `HORIZONS`. In a short run, the
+    hand may not reach the tissue.
     """
     return [run for run in runs if run.force_N[max(HORIZONS) :].any()]

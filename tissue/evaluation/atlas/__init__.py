@@ -1,4 +1,4 @@
-"""Stability atlas: regions where a method fails, one page each."""
+"""Stability atlas: each page shows for which parameter values a numerical method fails."""
 
 from tissue.evaluation.atlas.bone_tooth import Contrast, CutCells, ExplicitCutting
 from tissue.evaluation.atlas.held_tool import HeldTool

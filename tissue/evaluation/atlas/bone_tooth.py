@@ -1,4 +1,4 @@
-"""Pages on bone and teeth: time steps of a cutting tool's feed, cut cells, contrast of moduli."""
+"""Atlas pages on bone and teeth: explicit time steps, cut cells, contrast of moduli."""
 
 from functools import cache
 
@@ -38,19 +38,20 @@ from tissue.motion.thrust import implicit_speed
 THRUST_N = 20.0
 """Thrust in excess of the edge force [N].
 
-The equation of motion is linear in this thrust, so no result depends on its value.
+The results are relative, and the equation of motion is linear in the thrust. The value therefore
+has no effect on the results.
 """
 STEPS = 400
 """Number of time steps. An error that grows by 2 % per step grows more than a thousandfold."""
 MASS_KG = 0.05
-"""Mass of the tool in the sweep of the time step [kg]."""
+"""Mass of the tool [kg] for which the time step is varied."""
 
 
 @cache
 def drag_N_s_m() -> float:
-    """Compute the increase of a burr's force with its speed, 1 mm deep in cortical bone [N s/m].
+    """Compute a burr's damping [N s/m], force per feed speed, 1 mm deep in cortical bone.
 
-    The burr plunges along its axis. The value is the resistance that the bone model returns.
+    The burr moves along its axis.
     """
     # a block that is wider than the burr and 1 mm deeper than the plunge, in the voxels of a scene
     volume = voxelise(cortical_block(size_mm=(7, 7, 2)), spacing_m=1e-4)
@@ -69,7 +70,7 @@ def drag_N_s_m() -> float:
 
 
 def left_over(step_s: float, mass_kg: float, *, implicit: bool) -> float:
-    """Integrate the feed over 400 time steps; return the relative error of the final speed."""
+    """Integrate the tool's motion over 400 time steps; return the final speed's relative error."""
     drag = drag_N_s_m()
     settled = THRUST_N / drag
     speed = 0.0
@@ -99,7 +100,7 @@ class ExplicitCutting(Page):
     )
 
     def measure(self) -> Data:
-        """Find the longest stable time step for several masses; vary the time step at one mass."""
+        """Find the longest stable step for several tool masses; vary the time step at one mass."""
         # from far below the explicit limit, 1 on this axis, to a tick of some milliseconds
         steps = 2.0 * MASS_KG / drag_N_s_m() * np.geomspace(0.05, 200.0, 24)
 
@@ -126,11 +127,11 @@ class ExplicitCutting(Page):
         return {"mass": sweep("mass_kg", masses, limit_s), "step": sweep("step_s", steps, left)}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the longest explicit step with theory, and the implicit rule with a steady feed.
+        """Compare the longest stable explicit step with theory, and test the implicit rule.
 
         By theory, the longest stable explicit step is 2 m / c, where m is the mass of the tool and
-        c the damping by the cutting force. The implicit rule is tested with steps that are longer
-        than this limit.
+        c the damping by the cutting force. The implicit rule is tested with longer steps; the speed
+        must converge to the steady speed.
         """
         step = data["step"]
         off = error_of(data["mass"]["explicit_s"], data["mass"]["theory_s"])
@@ -170,14 +171,14 @@ SINGULAR = 1e14
 
 
 def body_of(particles: ParticleSet, edge_m: float, strength: float) -> ParticleBody:
-    """Return a body of particles in cubic cells of edge `edge_m` [m], held at its base."""
+    """Return a particle body in a grid of cubic cells (edge `edge_m`), fixed at its base."""
     grid = HexGrid.around(particles.position_m, edge_m=edge_m, origin_m=np.zeros(3))
     supports = NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0)
     return ParticleBody(particles, grid, supports, inner_strength=strength)
 
 
 def cut_block(fill: float, strength: float) -> ParticleBody:
-    """Return a block of full cells with 8 particles each, under a layer of cut cells.
+    """Return a block of full cells (8 particles each) with a layer of cut cells on top.
 
     A cut cell holds one particle. ``fill`` is the volume of this particle divided by the volume of
     the cell.
@@ -215,7 +216,7 @@ def conditions(body: ParticleBody) -> tuple[float, float]:
 
 
 def compliance_m_N(body: ParticleBody, fill: float) -> float:
-    """Compute the compliance [m/N] for a force on the top of the block."""
+    """Compute the compliance [m/N] of a block for a force on its top."""
     # in the middle of the top face, just inside the filled part of the cut cell
     place = CUT_EDGE_M * np.array([1.5, 1.5, CELLS + 0.999 * fill])
     load = body.spread(place, np.array([0.0, 0.0, -1.0]))
@@ -224,9 +225,10 @@ def compliance_m_N(body: ParticleBody, fill: float) -> float:
 
 
 def at_fill(fill: float) -> dict[str, float]:
-    """Measure the condition numbers with and without inner stiffness, and the effect on compliance.
+    """Compute condition numbers with and without stabilisation, and the change of compliance.
 
-    The inner stiffness stabilises cut cells. ``fill`` is the filled fraction of each cut cell.
+    The inner stiffness of a cell stabilises cut cells. ``fill`` is the filled fraction of each cut
+    cell, 0 to 1.
     """
     stabilised = cut_block(fill, INNER_STRENGTH)
     condition, scaled = conditions(stabilised)
@@ -243,7 +245,7 @@ def at_fill(fill: float) -> dict[str, float]:
 
 
 class CutCells(Page):
-    """Singular stiffness matrix of a cell with few particles, and inner stiffness as a remedy."""
+    """Stiffness matrix that cut cells make singular, and additional stiffness as a remedy."""
 
     name = "cut_cells"
     title = "Cut cells: how little may a cell hold?"
@@ -263,7 +265,7 @@ class CutCells(Page):
         return {"fill": sweep("fill", np.geomspace(1.0, 2e-4, 13), at_fill)}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare condition numbers with and without inner stiffness; report lost compliance."""
+        """Compare the condition numbers with and without stabilisation; report lost compliance."""
         table = data["fill"]
         carried = table["carried"] > 0.0
         worst = table["scaled"].max()
@@ -311,13 +313,13 @@ REAL = 42e3
 """Ratio of the modulus of enamel (84 GPa) to the modulus of pulp (2 MPa)."""
 CONTRASTS = np.array([1.0, 10.0, 1e2, 1e3, 4200.0, REAL, 1e6])
 MOST = 5000
-"""Largest number of iterations of a solve without multigrid."""
+"""Largest number of conjugate-gradient iterations without multigrid."""
 
 
 def soft_middle(cells: int, contrast: float) -> ParticleBody:
-    """Return a block of 84 GPa, held at its base, with a soft ball and a soft bottom layer.
+    """Return a stiff block (84 GPa), fixed at its base, with a soft ball and a soft bottom layer.
 
-    The modulus of the ball and of the layer is 84 GPa divided by the contrast.
+    The soft modulus is 84 GPa divided by `contrast`.
     """
     position = (np.argwhere(np.ones((2 * cells,) * 3)) + 0.5) * 0.5 * EDGE_M / cells
     # a ball of half the block's width as pulp, and a layer of an eighth of its height as ligament
@@ -335,7 +337,7 @@ def soft_middle(cells: int, contrast: float) -> ParticleBody:
 
 
 def pushed(body: ParticleBody) -> Array:
-    """Return the nodal loads of an oblique force on the top of the block."""
+    """Return the nodal loads of an oblique force that acts on the top of a block."""
     # off the middle and oblique, so that no symmetry of the block makes the solve easier
     return body.spread(np.array([0.5, 0.4, 1.0]) * EDGE_M, np.array([0.3, 0.0, -1.0]))
 
@@ -343,8 +345,8 @@ def pushed(body: ParticleBody) -> Array:
 def plain_iterations(body: ParticleBody) -> float:
     """Count SciPy's conjugate-gradient iterations until the error is 1e-6 of the initial error.
 
-    The error is measured in the energy norm, in every fifth iteration. The result is therefore a
-    multiple of five.
+    The error is the energy norm of the difference from the exact solution. It is computed in every
+    fifth iteration, so the result is a multiple of five.
     """
     matrix = csr_array(body.matrix())
     kept = np.flatnonzero(matrix.diagonal() > 0.0)
@@ -373,7 +375,7 @@ def plain_iterations(body: ParticleBody) -> float:
 
 
 class Contrast(Page):
-    """Effect of the contrast of moduli on conjugate gradients with and without multigrid."""
+    """Iterations of conjugate gradients against the ratio of the moduli in a body."""
 
     name = "contrast"
     title = "Modulus contrast: do iterations follow it?"
@@ -387,7 +389,7 @@ class Contrast(Page):
     )
 
     def measure(self) -> Data:
-        """Vary the contrast, with multigrid on a coarse and on a finer grid."""
+        """Vary the ratio of the moduli; multigrid is tested on a coarse and on a finer grid."""
         table = {"contrast": CONTRASTS}
         # two grids, to show whether iterations grow with the number of cells
         for cells in (8, 12):
@@ -406,7 +408,7 @@ class Contrast(Page):
     def judge(self, data: Data) -> Verdict:
         """Compare the numbers of iterations with and without multigrid.
 
-        Without multigrid, the number of iterations grows with the contrast. With multigrid, it
+        Without multigrid, the number grows with the ratio of the moduli. With multigrid, the number
         stays in a small range.
         """
         table = data["contrast"]
@@ -423,7 +425,7 @@ class Contrast(Page):
         )
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw iterations against the contrast."""
+        """Draw the number of iterations against the ratio of the moduli."""
         axes = chart.subplots()
         table = data["contrast"]
         axes.axvline(REAL, color=GREY, linestyle=":", label="enamel to pulp")

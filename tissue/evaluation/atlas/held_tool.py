@@ -1,7 +1,7 @@
-"""Page on a tool in a hand: change of the tool path after a small change of the device path.
+"""Atlas page on a held tool: effect of a small shift of the device path on the tool path.
 
-The device path of a closed loop is recorded once. The recorded path is then replayed without
-feedback, unchanged and shifted. The functions read the trace and the true poses of the device.
+The path of a haptic device is recorded once in a closed loop. The recorded path is then replayed
+without feedback, once unchanged and once shifted.
 """
 
 from dataclasses import dataclass
@@ -36,22 +36,22 @@ from tissue.simulation.builders.parts import Parts
 from tissue.simulation.simulate import RunObserver, simulate
 
 OBLIQUE = np.array([0.48, -0.36, 0.8])
-"""Unit direction of a shift. It is not parallel to any axis of a scene."""
+"""Unit vector along which the device path is shifted. It is not parallel to a coordinate axis."""
 LIGHT = 1e-4
 """Factor on the mass of the tool in runs that approximate a massless, quasi-static tool.
 
-The value is a choice. The damping between tool and device is proportional to the square root of the
-mass, so this factor reduces the damping to a hundredth.
+The value is a choice. The factor also reduces the damping between tool and device to a hundredth,
+because the damping is proportional to the square root of the mass.
 """
 SECONDS = {"milling": 1.4, "glenoid": 2.4, "pedicle": 1.1, "molar": 1.7, "caries": 1.6}
 """Duration of the run of each cutting scene [s]. The run includes one second of contact."""
 SHIFTS_M = np.array([1e-9, 1e-6, 1e-5])
 MOST = 10.0
-"""Amplification above which a tool counts as ill-conditioned.
+"""Ratio of tool-path shift to device-path shift above which a tool counts as ill-conditioned.
 
-The value is a choice. At commit c4a1af96, the amplification is at most 2.6 with the mass that the
-engine uses. With an almost massless tool, the amplification is 23 for a shift of 1 nm in ``molar``,
-and at most 3.7 in the other scenes.
+The value is a choice. At commit c4a1af96, the ratio is at most 2.6 with the tool mass of the
+engine. With an almost massless tool and a shift of 1 nm, the ratio is 23 in the scene ``molar`` and
+at most 3.7 in the other scenes.
 """
 STYLES = (("o-", "#0072B2"), ("s-", ORANGE), ("^-", GREEN), ("D-", "#56B4E9"), ("v-", "#CC79A7"))
 RULES = {"engine": "tool of the engine", "massless": "massless quasi-static limit"}
@@ -59,7 +59,7 @@ RULES = {"engine": "tool of the engine", "massless": "massless quasi-static limi
 
 @dataclass(frozen=True)
 class DevicePath:
-    """True poses of a device in every tick.
+    """Poses of a haptic device in every tick, without encoder steps.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class Course:
     tips_m
         Positions of the tip in every tick [m], shape (n, 3).
     forces_N
-        Forces of the tissue before they are scaled for the device [N], shape (n, 3).
+        Forces of the tissue on the tool [N], shape (n, 3), before they are scaled for the device.
     touches
         True for ticks in contact, shape (n,).
     mass_kg
@@ -100,7 +100,7 @@ class Course:
 
     @property
     def first(self) -> int:
-        """First tick in contact. InputError is raised if no tick is in contact."""
+        """First tick in contact. Raises InputError if no tick is in contact."""
         if not self.touches.any():
             raise InputError(
                 "duration_s", "reach the first contact", "no contact", "use a longer duration_s"
@@ -137,9 +137,9 @@ class _PoseObserver(RunObserver):
 
 
 def in_a_hand(scene: Scene, *, seed: int, seconds: float) -> Scene:
-    """Return the scene with its tool on a device that an expert's hand holds.
+    """Return the scene with its tool coupled to a haptic device in an expert's hand.
 
-    Parts of the scene without influence on the force are left out.
+    Settings that do not influence the force, such as computed fields, are switched off.
     """
     # The path is replayed without feedback, so that a prediction would only cost time.
     run: dict[str, object] = {"seed": seed, "duration_s": seconds, "prediction": "none"}
@@ -147,14 +147,14 @@ def in_a_hand(scene: Scene, *, seed: int, seconds: float) -> Scene:
 
 
 def recorded_path(scene: Scene) -> DevicePath:
-    """Run the closed loop of a scene, and return the true poses of the device."""
+    """Run a scene with its hand and device; return the poses of the device."""
     observer = _PoseObserver()
     simulate(scene, allow_unstable=True, observers=[observer])
     return DevicePath(np.array(observer.positions_m), np.array(observer.quaternions))
 
 
 def replayed(scene: Scene, path: DevicePath, *, mass_share: float = 1.0) -> Course:
-    """Run a scene along a given device path; forces do not change this path.
+    """Run a scene along a given device path, without force feedback to the device.
 
     As on a simulated device, the velocity is the difference of two successive positions divided by
     the duration of a tick. The mass of a tool with inertia is multiplied by ``mass_share``.
@@ -168,11 +168,11 @@ def replayed(scene: Scene, path: DevicePath, *, mass_share: float = 1.0) -> Cour
 
 
 def amplification(course: Course, reference: Course, shift_m: float) -> tuple[float, float]:
-    """Return the distance between two tool paths divided by the shift between their device paths.
+    """Return the ratio of the distance between two tool paths to their device paths' shift.
 
     Two values are returned: the ratio one second after the first contact (or at the end of a
     shorter run), and the largest ratio of the run. ``shift_m`` is the shift between the device
-    paths [m]. For a tool without contact, the ratio is 1.
+    paths [m]. Without contact, the ratio would be 1.
     """
     away_m = np.linalg.norm(course.tips_m - reference.tips_m, axis=1)
     later = min(reference.first + round(1.0 / TICK_S), len(away_m) - 1)
@@ -190,7 +190,7 @@ def force_error(course: Course, reference: Course) -> float:
 
 
 class HeldTool(Page):
-    """Amplification of a shift of the device path, with the tool's mass and almost without mass."""
+    """Sensitivity of the tool path to the device path, for the normal and a tiny tool mass."""
 
     name = "held_tool"
     title = "Cutting tool in a hand: amplification of a small shift"
@@ -205,7 +205,7 @@ class HeldTool(Page):
     )
 
     def measure(self) -> Data:
-        """Replay the shifted path of one hand in every scene, for both masses of the tool."""
+        """Replay a shifted device path in every scene, for the normal and for a tiny tool mass."""
         data: Data = {}
         for name, seconds in SECONDS.items():
             scene = in_a_hand(load_scene(name), seed=1, seconds=seconds)
@@ -223,7 +223,7 @@ class HeldTool(Page):
         return data
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the largest amplifications, with and almost without mass, with the bound."""
+        """Compare the largest ratio of the shifts with its limit, for both tool masses."""
         worst = {rule: max(data, key=lambda name: data[name][rule].max()) for rule in RULES}
         grown = {rule: data[name][rule].max() for rule, name in worst.items()}
         error = {
@@ -241,7 +241,7 @@ class HeldTool(Page):
         )
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the amplification against the shift, with and almost without mass of the tool."""
+        """Draw the ratio of the shifts against the shift of the device path, for both masses."""
         holds = self.judge(data).holds
         panels = chart.subplots(1, 2, sharey=True)
         for axes, (rule, title) in zip(panels, RULES.items(), strict=True):

@@ -1,4 +1,4 @@
-"""Pages on tetrahedra of organs: locking, large rotation, and inverted or sliver cells."""
+"""Atlas pages on tetrahedral meshes: locking, large rotation, inverted and sliver cells."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -38,8 +38,8 @@ LENGTH = 10.0
 YOUNG = 1000.0
 """Young's modulus of the cantilever bar [Pa].
 
-The bar has the size 10 m x 1 m x 1 m and carries a force of 1 N at its end, like the published
-cantilever. The relative error of the deflection does not depend on these values.
+The bar measures 10 m x 1 m x 1 m and carries a force of 1 N at its end. The relative error of the
+deflection does not depend on modulus and force.
 """
 MESHES = {
     "quadratic": (2, (16, 2, 2), ENGINE),
@@ -53,7 +53,7 @@ A block is divided into six tetrahedra. The bar extends along x.
 
 
 def deflection(order: int, cells: tuple[int, int, int], ratio: float) -> tuple[float, float]:
-    """Compute the tip deflection of the clamped bar [m], and a flag for convergence.
+    """Compute the tip deflection [m] of a clamped bar, and a flag for convergence.
 
     The flag is 1 if the solver has converged and 0 otherwise.
     """
@@ -163,12 +163,12 @@ def turned(nodes_m: Array, degrees: float) -> Array:
 
 
 def false_stress_Pa(law: Law) -> Array:
-    """Compute the stress on an end of a bar that is rotated without strain [Pa].
+    """Compute the erroneous stress [Pa] on an end of a bar that is only rotated.
 
-    Both ends of the bar are rotated by each angle in `ANGLES`. The stress is the force on one end
-    divided by the area of this end.
+    The correct stress is zero. Both ends of the bar are rotated by each angle in `ANGLES`. The
+    stress is the force on one end divided by the area of this end.
 
-    The result is NaN where a solve does not converge.
+    The stress is NaN for angles at which the solver does not converge.
     """
     solver = bar_solver(law, 0.0)
     nodes = solver.body.nodes_m
@@ -188,7 +188,7 @@ def false_stress_Pa(law: Law) -> Array:
 
 
 class LargeRotation(Page):
-    """False stress of the linear law in a bar that is rotated without strain."""
+    """Erroneous stress of the linear elastic law in a bar that is only rotated."""
 
     name = "large_rotation"
     title = "Large rotation: linear against corotational"
@@ -205,7 +205,7 @@ class LargeRotation(Page):
         return {"turn": {"angle_deg": ANGLES, **stresses, "theory_pa": theory}}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the stress of the linear law with E (1 - cos θ), of the other laws with zero."""
+        """Compare the linear law's stress with E (1 - cos θ), and other stresses with zero."""
         turn = data["turn"]
         off = error_of(turn["linear_pa"], turn["theory_pa"])
         worst = np.max([turn["corotational_pa"], turn["neo_hookean_pa"]])
@@ -220,7 +220,7 @@ class LargeRotation(Page):
         )
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the false stress against the angle of rotation."""
+        """Draw the erroneous stress against the angle of rotation."""
         turn = data["turn"]
         # zeros on a logarithmic axis: below the rounding of a solve, 1e-12 of the modulus
         least = 1e-13
@@ -253,10 +253,10 @@ def middle_node(nodes_m: Array) -> int:
 
 
 def squashed(height: float) -> tuple[Array, Ints]:
-    """Return nodes [m] and cells of a cube of tetrahedra, one of which is flattened.
+    """Return nodes [m] and cells of a tetrahedral mesh of a cube with one flattened cell.
 
-    The node in the middle of the cube is moved towards the opposite face of this cell, until the
-    cell has the fraction `height` of its original height.
+    The middle node of the cube is moved towards the opposite face of this cell. The new height of
+    the cell is `height` times its original height.
     """
     # few enough nodes for dense eigenvalues; even, so that one node is in the middle
     good = box((SIZE_M,) * 3, (4, 4, 4))
@@ -280,7 +280,7 @@ def condition(nodes_m: Array, cells: Ints) -> float:
 def at_height(height: float) -> dict[str, float]:
     """Measure mesh quality and condition number before and after a repair of the mesh.
 
-    One cell of the mesh is flattened to the fraction `height` of its original height.
+    One cell of the mesh is flattened to `height` times its original height.
     """
     nodes, cells = squashed(height)
     mesh, _ = repair_tets(nodes, cells)
@@ -309,7 +309,7 @@ class BadTetrahedra(Page):
         return {"sliver": sweep("height", np.geomspace(1.0, 1e-5, 11), at_height)}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the condition number before repair with 1 / height, and check it after repair."""
+        """Check that the condition number grows as 1 / height, and that the repair limits it."""
         table = data["sliver"]
         # where the flat cell alone determines the largest eigenvalue
         flat = table["height"] < 0.03

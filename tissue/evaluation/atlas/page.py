@@ -1,6 +1,6 @@
-"""Pages of the stability atlas, and the files of all pages.
+"""Base class for the pages of the stability atlas, and functions that write the atlas.
 
-A page varies a parameter, judges the measured data, and draws them.
+A page varies a parameter, judges the measured results, and draws the results.
 """
 
 import platform
@@ -32,9 +32,9 @@ from tissue.system.html import html_page, html_picture
 from tissue.system.owned_folder import OwnedFolder
 
 Table = dict[str, Array]
-"""Columns of equal length by name. The name of a column ends with its unit."""
+"""Table: columns of equal length, keyed by name. The name of a column ends with its unit."""
 Data = dict[str, Table]
-"""Results of the sweeps of a page: tables by name."""
+"""Results of an atlas page: one table for each parameter sweep, keyed by name."""
 # The colours are those of Okabe and Ito (2008), distinct for colour-blind readers.
 ORANGE = "#E69F00"
 GREEN = "#009E73"
@@ -42,20 +42,20 @@ GREY = "0.35"
 THEORY = ("-", GREY)
 FAILING = ("s", "#D55E00")
 ENGINE = ("o", "#0072B2")
-"""Matplotlib format and colour of the curve of the engine's method.
+"""Matplotlib format and colour of curves for the method that the simulation uses.
 
-`THEORY` holds those of the theoretical curve, and `FAILING` those of the method that fails.
+`THEORY` is the style of theoretical curves, and `FAILING` the style of curves for a failing method.
 """
 Place = Literal["best", "upper left", "lower right", "center right", ""]
 Curve = tuple[str, ArrayLike, tuple[str, str]]
 """Label, values, and matplotlib format and colour of a curve.
 
-The values are one for each value of the sweep, or a single constant.
+A curve has one value for each point of the parameter sweep, or is a constant.
 """
 
 
 class Conduct(Enum):
-    """Behaviour of the engine in a part of a sweep. The value of a member is its text."""
+    """Behaviour of the simulation in a part of a parameter sweep, with its text for the chart."""
 
     HOLDS = "holds"
     FALLS_BACK = "falls back"
@@ -63,18 +63,18 @@ class Conduct(Enum):
 
 
 TINTS = {Conduct.HOLDS: "#D6ECF8", Conduct.FALLS_BACK: "#FBEBC2", Conduct.REFUSES: "#F3CFBC"}
-"""Background colour of a region of a chart, by the behaviour of the engine there."""
+"""Background colour of a chart region for each behaviour of the simulation."""
 
 
 class Verdict(NamedTuple):
-    """Result of a sweep."""
+    """Judgement of the results of a parameter sweep."""
 
     fails: bool | np.bool_
-    """True if the tested method failed in the sweep where theory predicts the failure."""
+    """True if the criticised method failed at the parameter values for which theory predicts it."""
     holds: bool | np.bool_
-    """True if the method of the engine worked as intended in the whole sweep."""
+    """True if the method that the simulation uses worked as intended at all parameter values."""
     sentence: str
-    """Both results in words, with numbers of the sweep."""
+    """Both results in words, with measured numbers."""
 
 
 class Page(ABC):
@@ -83,11 +83,11 @@ class Page(ABC):
     Attributes
     ----------
     name
-        Short name. The names of the files of the page begin with this name.
+        Short name, with which the file names of the page begin.
     title, question
         Title of the page, and question that the page answers.
     source
-        Source of the theory, and parameters of the sweep.
+        Source of the theory, and fixed parameters, as text.
     """
 
     name: str
@@ -97,15 +97,15 @@ class Page(ABC):
 
     @abstractmethod
     def measure(self) -> Data:
-        """Run the sweep of a parameter."""
+        """Vary the parameter of the page; return the measured results."""
 
     @abstractmethod
     def judge(self, data: Data) -> Verdict:
-        """Return the verdict on the data of the sweep."""
+        """Judge the results of `measure`."""
 
     @abstractmethod
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the data into an empty figure."""
+        """Draw the results of `measure` into an empty figure."""
 
 
 def sweep(name: str, values: Array, run: Callable[[float], Mapping[str, float]]) -> Table:
@@ -119,7 +119,7 @@ def sweep(name: str, values: Array, run: Callable[[float], Mapping[str, float]])
 def boundary(fails: Callable[[float], bool], low: float, high: float, *, steps: int) -> float:
     """Find the value between `low` and `high` above which `fails` returns true.
 
-    Both ends are positive. The search bisects the logarithm of the value.
+    `low` and `high` must be positive. The search bisects the logarithm of the value.
     """
     for _ in range(steps):
         middle = sqrt(low * high)
@@ -153,7 +153,7 @@ def picture(page: Page, data: Data) -> bytes:
 
 
 def shade(axes: Axes, x: Array, low: ArrayLike, high: ArrayLike, conduct: Conduct) -> None:
-    """Tint the region between two curves by the behaviour of the engine."""
+    """Fill the region between two curves with the colour of the simulation's behaviour there."""
     label = f"engine {conduct.value}"
     axes.fill_between(x, low, high, color=TINTS[conduct], zorder=0, linewidth=0.0, label=label)
 
@@ -169,28 +169,28 @@ def panel(
     legend: Place = "best",
     **settings: object,
 ) -> None:
-    """Draw curves over a sweep, with axes, grid and legend.
+    """Draw curves against a parameter, with axes, grid and legend.
 
     Parameters
     ----------
     axes
         Axes to draw into. The legend also lists curves that these axes already contain.
     x
-        Values of the sweep, shape (n,).
+        Values of the parameter, shape (n,).
     labels
         Labels of both axes with their units.
     curves
-        Curves over the sweep.
+        Curves to draw, see `Curve`.
     conduct
-        Behaviours of the engine, each with the ends of its range of x. Default: `Conduct.HOLDS` in
-        the whole sweep.
+        Behaviours of the simulation, each with the lowest and highest x of its range. Default:
+        `Conduct.HOLDS` for all x.
     log
         Axes with a logarithmic scale: "x", "y", "xy", or "" for none.
     legend
         Place of the legend. If it is empty, no legend is drawn.
     settings
-        Properties for `Axes.set`. By default, the limits of the x axis are the smallest and the
-        largest value of the sweep.
+        Properties for `Axes.set`. By default, the x axis ranges from the smallest to the largest
+        value of x.
     """
     axes.set(xscale="log" if "x" in log else "linear", yscale="log" if "y" in log else "linear")
     for behaviour, low, high in [(Conduct.HOLDS, x[0], x[-1])] if conduct is None else conduct:
@@ -219,7 +219,7 @@ class Entry:
     Attributes
     ----------
     page, verdict
-        Page, and verdict on its data.
+        The page, and the verdict on its results.
     picture
         Figure as PNG.
     files
@@ -236,7 +236,7 @@ class Entry:
 
     @property
     def shown(self) -> bool:
-        """True if the tested method failed and the method of the engine worked."""
+        """True if the criticised method failed and the method of the simulation worked."""
         return bool(self.verdict.fails and self.verdict.holds)
 
 
@@ -261,12 +261,12 @@ def write_atlas(
     overwrite: bool = False,
     progress: Progress = silent,
 ) -> list[Entry]:
-    """Run pages and write ``index.html``, with a picture and the data (CSV) of each page.
+    """Run atlas pages; write ``index.html``, and a picture and tables (CSV) of each page.
 
     Raises
     ------
     InputError
-        If the folder is a file, or holds an atlas and `overwrite` is false.
+        If `folder` is a file, or contains an atlas and `overwrite` is false.
     """
     names = [INDEX, *(f"{page.name}{end}" for page in pages for end in (".png", "_*.csv"))]
     entries = []

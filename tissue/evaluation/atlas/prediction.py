@@ -1,4 +1,4 @@
-"""Pages on predicted forces: prediction horizon, and walls on which no predictor was trained."""
+"""Atlas pages on force prediction: horizon, and walls of untrained stiffness."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -38,9 +38,9 @@ SIX_DOF = device_parameters("six-dof")
 HOME_N_M = 800.0
 """Stiffness of the wall in the training runs [N/m]."""
 TURN = np.array([[2.0, -2.0, 1.0], [1.0, 2.0, 2.0], [-2.0, -1.0, 2.0]]) / 3.0
-"""Rotation from the frame of the tapped wall to the world.
+"""Rotation matrix from the frame of the wall to the world frame.
 
-With this rotation, all three components of position and force vary.
+The wall is oblique, so that all three components of position and force vary.
 """
 AHEAD = np.array([1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64])
 LABELS = {
@@ -50,14 +50,14 @@ LABELS = {
     "koopman": "Koopman, guarded (engine)",
 }
 LEADS_MS = 10.0
-"""Largest horizon at which the loop needs a prediction [ms].
+"""Largest horizon [ms] at which the haptic loop needs a predicted force.
 
-The delay and the filter of the loop take several milliseconds together.
+Delay and filter of the haptic loop together take several milliseconds.
 """
 HORIZON_TICKS = 5
-"""Horizon at which the operators are compared [ticks], half of `LEADS_MS`."""
+"""Prediction horizon [ticks] at which two linear operators are compared: half of `LEADS_MS`."""
 LAGS = 6
-"""Number of earlier ticks whose positions the regression uses, in addition to the present tick."""
+"""Number of past ticks whose positions the regression uses, in addition to the present tick."""
 
 
 def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> Recording:
@@ -84,13 +84,13 @@ def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> Recording:
 
 
 def recordings() -> list[Recording]:
-    """Record three training runs on a wall of stiffness `HOME_N_M`."""
+    """Record three training runs in which a novice taps a wall of stiffness `HOME_N_M`."""
     # other seeds than the recordings of the tests, whose seed is 9
     return [tapped(HOME_N_M, seed=seed, seconds=3.0) for seed in (1, 2, 3)]
 
 
 def guarded(trained: Trained) -> Guarded:
-    """Return the predictor of the engine: the trained Koopman operator with its guard."""
+    """Return the trained Koopman predictor, with a guard that can replace its predictions."""
     koopman = Koopman(DelayPath(trained.operator))
     return Guarded(koopman, Hold(), reach_N=SIX_DOF.force_limit_N)
 
@@ -98,8 +98,8 @@ def guarded(trained: Trained) -> Guarded:
 def relative_error(predictions: Array, force: Array, horizon: int) -> float:
     """Return the norm of the prediction error divided by the norm of the force, at most 1e6.
 
-    `predictions` and `force` have shape (n, 3). Each prediction is for the tick `horizon` ticks
-    later. Predictions of the first 100 ticks are ignored.
+    `predictions` and `force` have shape (n, 3). The prediction in row i is for the force in row i +
+    `horizon`. Predictions of the first 100 ticks are ignored.
     """
     # in the first 0.1 s the operator's delays of up to 80 ticks fill up
     later = force[100 + horizon :]
@@ -110,7 +110,7 @@ def relative_error(predictions: Array, force: Array, horizon: int) -> float:
 
 
 class Horizon(Page):
-    """Prediction horizon: error of every predictor, compared with zero-order hold."""
+    """Error of every force predictor against the prediction horizon."""
 
     name = "horizon"
     title = "Prediction horizon: how far ahead can a force be predicted?"
@@ -146,8 +146,8 @@ class Horizon(Page):
     def judge(self, data: Data) -> Verdict:
         """Find the horizon at which each predictor becomes worse than zero-order hold.
 
-        A predictor counts as useless at horizons where its error exceeds a quarter of the force. At
-        64 ms, the error of the Koopman predictor is 0.38 of the force.
+        A predictor also counts as useless if its relative error exceeds 0.25. At 64 ms, the
+        relative error of the Koopman predictor is 0.38.
         """
         table = data["horizon"]
         horizon = table["ahead_ms"]
@@ -200,9 +200,9 @@ class Horizon(Page):
 def bound_force_N(learnt: list[Recording], recording: Recording) -> Array:
     """Predict the forces of a recording [N], shape (n, 3), by a regression on positions.
 
-    The regression is fitted to the recordings `learnt`. Its regressors are positions and
-    penetration depths in the present tick and in `LAGS` earlier ticks. The result is zero in the
-    first `LAGS` ticks.
+    The regression is fitted to the recordings in `learnt`. The regressors are the positions and
+    penetration depths of the present tick and of the `LAGS` ticks before it. The predicted force is
+    zero in the first `LAGS` ticks.
     """
 
     def regressors(run: Recording) -> Array:
@@ -222,10 +222,10 @@ def bound_force_N(learnt: list[Recording], recording: Recording) -> Array:
 
 
 class TrainedElsewhere(Page):
-    """Two linear operators that are trained on one wall and used on other walls.
+    """Errors of two linear predictors that are trained on one wall and used on other walls.
 
-    The first operator is a regression on positions. The second operator is that of the engine,
-    which uses displacements of the device and stretches of the coupling.
+    The first predictor is a regression on positions. The second predictor is the predictor of the
+    simulation, which uses displacements of the device and of the coupling spring.
     """
 
     name = "trained_elsewhere"
@@ -240,7 +240,7 @@ class TrainedElsewhere(Page):
     )
 
     def measure(self) -> Data:
-        """Vary the stiffness of the wall on which the operators are used."""
+        """Vary the stiffness of the wall on which both predictors are used."""
         learnt = recordings()
         trained = fit("wall", learnt)
         # an eighth to three times the stiffness of the training runs
@@ -265,7 +265,7 @@ class TrainedElsewhere(Page):
         return {"wall": table | {"theory": share * np.abs(HOME_N_M / stiffnesses - 1.0)}}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the errors of both operators with the error of zero-order hold."""
+        """Compare the errors of both predictors with the error of zero-order hold."""
         table = data["wall"]
         ratio = table["guarded"] / table["hold"]
         home = int(np.argmin(np.abs(table["stiffness_N_m"] - HOME_N_M)))

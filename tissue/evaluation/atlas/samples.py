@@ -1,4 +1,4 @@
-"""Pages on faulty device samples: lost, late, repeated and implausible samples."""
+"""Atlas pages on faulty device samples: lost, late, repeated and implausible samples."""
 
 from collections.abc import Callable
 
@@ -34,10 +34,10 @@ OMNI = device_parameters("omni")
 STIFFNESS_N_M = 1500.0
 """Stiffness of the virtual wall [N/m].
 
-With this stiffness, the loop is stable, and the expert presses with 1.2 N.
+With this stiffness, the haptic loop is stable, and the simulated expert presses with 1.2 N.
 """
 FAULT_S = 0.15
-"""Time at which the faults start [s]. At this time, the hand rests in the wall."""
+"""Time at which the faults start [s]. The hand then rests in contact with the wall."""
 FIRST = round(FAULT_S / TICK_S)
 STYLES: dict[FaultKind, tuple[str, str]] = {
     "dropped": ENGINE,
@@ -45,11 +45,11 @@ STYLES: dict[FaultKind, tuple[str, str]] = {
     "duplicated": ("^", GREEN),
 }
 VALID_M = FASTEST_M_S * (TICK_S + OLDEST_S)
-"""Longest jump of the position in a tick that the sample guard accepts [m]."""
+"""Longest jump of the position [m] from tick to tick that the sample guard accepts."""
 
 
 class _Jumping:
-    """Device whose sample at `FAULT_S` is displaced into the wall by a given jump."""
+    """Haptic device with one wrong sample: at `FAULT_S`, the position jumps into the wall."""
 
     in_process = True
 
@@ -59,7 +59,7 @@ class _Jumping:
         self.command = device.command
 
     def read(self, time_s: float) -> Sample | None:
-        """Return the sample of the device, displaced into the wall at `FAULT_S`."""
+        """Return the sample of the device; the sample at `FAULT_S` is displaced into the wall."""
         sample = self._device.read(time_s)
         # one sample only: times of ticks are sums with rounding
         if sample is None or abs(time_s - FAULT_S) > 0.5 * TICK_S:
@@ -73,9 +73,9 @@ def pressed(
 ) -> tuple[Array, SampleGuard | None]:
     """Simulate an expert who aims 5 mm deep into a wall with a device that has faults.
 
-    Return the size of the force in every tick [N], shape (ticks,), and the sample guard. If
-    `guarded` is true, the guard checks the samples as in the engine. Otherwise no guard is used,
-    and None is returned for it. `make` adds the faults to a device.
+    Return the magnitude of the force [N], shape (ticks,), and the sample guard. If `guarded` is
+    true, the guard checks the device samples. Otherwise, no guard is used, and None is returned
+    instead of the guard. `make` adds the faults to a device.
     """
     # the aim is 5 mm deep from the first tick on
     path = waypoints(np.array([0.0, 1e-3]), np.full((2, 3), (0.0, 0.0, -5e-3)))
@@ -89,10 +89,10 @@ def pressed(
 
 
 def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
-    """Measure three forces around a gap in the samples, relative to the force before the gap.
+    """Measure three forces around a fault of the samples, relative to the force before it.
 
-    The three values are the force in the last tick of the gap, the largest force after the gap, and
-    the largest change from tick to tick in the gap.
+    The fault lasts `gap_s`. The three values are the force in its last tick, the largest force
+    after the fault, and the largest change from tick to tick during the fault.
     """
     fault = Fault(kind, FAULT_S, FAULT_S + gap_s)
     size, _ = pressed(
@@ -107,7 +107,7 @@ def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
 
 
 def over_gap(kind: FaultKind, gaps: Array) -> Table:
-    """Vary the length of the gap [s], with the sample guard and without it."""
+    """Compute the results of `shares` for gaps of several lengths, with and without guard."""
     guarded = np.array([shares(kind, gap, guarded=True) for gap in gaps.tolist()])
     bare = np.array([shares(kind, gap, guarded=False) for gap in gaps.tolist()])
     # A repeated sample is accepted until it is too old. A late sample is too old immediately. From
@@ -127,8 +127,8 @@ def over_gap(kind: FaultKind, gaps: Array) -> Table:
 class LostSamples(Page):
     """Lost, late or repeated samples, with and without the sample guard.
 
-    Without the guard, the last force stays or drops in a single tick. With the guard, the force
-    fades, and returns after the fault.
+    Without the guard, the force keeps its last value, or drops in a single tick. With the guard,
+    the force fades during the fault and returns after it.
     """
 
     name = "lost_samples"
@@ -143,7 +143,7 @@ class LostSamples(Page):
     )
 
     def measure(self) -> Data:
-        """Vary the length of the gap for every kind of fault."""
+        """Vary the duration of the fault for every kind of fault."""
         # short of, at and beyond the 20 ms in which the force fades
         gaps = 1e-3 * np.array([1, 2, 5, 8, 12, 16, 20, 30, 60])
         return {kind: over_gap(kind, gaps) for kind in STYLES}
@@ -169,7 +169,7 @@ class LostSamples(Page):
         )
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the force at the end of the gap against its length, with and without the guard."""
+        """Draw the force at the end of the fault against its duration, with and without guard."""
         panels = chart.subplots(1, 2, sharey=True)
         gap = 1e3 * data["late"]["gap_s"]
         for axes, column, title in (
@@ -194,7 +194,7 @@ class LostSamples(Page):
 
 
 def forced(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
-    """Measure the force one tick before and in the tick of a sample with a jump [N].
+    """Measure the forces [N] in the ticks just before and at a position jump.
 
     The jump displaces the sample into the wall by ``jump_m`` [m]. The third result is the number of
     samples that the guard rejected.
@@ -207,7 +207,7 @@ def forced(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
 
 
 class WildInput(Page):
-    """Implausible device samples and NaN: commanded force with and without the sample guard."""
+    """Force after implausible or NaN device samples, with and without the sample guard."""
 
     name = "wild_input"
     title = "NaN and wild device input"
@@ -218,7 +218,7 @@ class WildInput(Page):
     source = "Sample guard: 5 m/s over a tick and 2.5 ms of age; Omni, wall of 1.5 kN/m"
 
     def measure(self) -> Data:
-        """Vary the size of the jump of one sample."""
+        """Vary the position jump of a single sample."""
         # just below and above the longest jump that the guard accepts
         near = VALID_M * np.array([0.9, 1.1])
         # a damaged sample may hold any number

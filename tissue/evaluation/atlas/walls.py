@@ -1,4 +1,4 @@
-"""Pages on virtual walls: critical stiffness, encoder steps, and thin walls with fast tools."""
+"""Atlas pages on virtual walls: critical stiffness, encoder steps, and thin walls."""
 
 from dataclasses import replace
 from itertools import product
@@ -47,14 +47,14 @@ AXES = {
     "delay": ("delay added to the hold / ms", 1e3, np.linspace(0.0, 8e-3, 7)),
     "rate": ("rate / Hz", 1.0, np.geomspace(250.0, 8000.0, 5)),
 }
-"""Axis label, factor to the unit of this label, and values of each varied parameter."""
+"""For each varied parameter: axis label, factor to the unit of the label, and values."""
 BOUNDS = {
     "exact_N_m": ("eigenvalues", THEORY, critical_stiffness_N_m),
     "passive_N_m": ("passive", ("--", GREEN), passive_bound_N_m),
     "first_order_N_m": ("first order in delay", ("-.", ORANGE), delay_bound_N_m),
     "pade_N_m": ("Padé", (":", "#CC79A7"), pade_bound_N_m),
 }
-"""Label, plot style and function of each predicted boundary."""
+"""Label, plot style and function of each theoretical limit of the wall stiffness."""
 
 
 def loops(along: str, values: Array) -> list[WallLoop]:
@@ -66,7 +66,7 @@ def loops(along: str, values: Array) -> list[WallLoop]:
 
 
 class WallMap(Page):
-    """Critical stiffness as a function of damping, delay and rate.
+    """Critical wall stiffness as a function of damping, delay and update rate.
 
     The critical stiffness measured in simulations is compared with the critical stiffness from
     eigenvalues and with analytical bounds.
@@ -83,7 +83,7 @@ class WallMap(Page):
     )
 
     def measure(self) -> Data:
-        """Vary damping, delay and rate, one at a time."""
+        """Vary damping, delay and update rate, one at a time."""
         data: Data = {}
         for along, (_, _, values) in AXES.items():
             swept = loops(along, values)
@@ -99,7 +99,7 @@ class WallMap(Page):
         return data
 
     def judge(self, data: Data) -> Verdict:
-        """Compare every predicted boundary with the measured critical stiffness."""
+        """Compare every theoretical limit with the measured critical stiffness."""
         measured, exact, *bounds = (
             np.concatenate([table[name] for table in data.values()])
             for name in ("measured_N_m", *BOUNDS)
@@ -118,7 +118,7 @@ class WallMap(Page):
         )
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the stiffness against damping, delay and rate, in one panel each."""
+        """Draw the critical stiffness against damping, delay and update rate, one panel each."""
         panels = chart.subplots(1, len(data), sharey=True)
         for axes, (along, table) in zip(panels, data.items(), strict=True):
             label, scale, _ = AXES[along]
@@ -147,14 +147,15 @@ ENCODER_M = 1e-4
 DEVICE = DeviceParameters(mass_kg=0.05, damping_N_s_m=1.0, encoder_step_m=ENCODER_M)
 """Device with coarse encoders.
 
-Without Coulomb friction, its damping b allows a wall stiffness of 2 b / T = 2 kN/m at the tick T.
+Its damping b allows a wall stiffness of 2 b / T = 2 kN/m without Coulomb friction, where T is the
+duration of a tick.
 """
 BUZZ_STEPS = 0.1
 """Peak-to-peak motion above which the device counts as buzzing [encoder steps]."""
 PUSHES_N = (0.11, 0.37)
-"""Steady pushes onto the wall [N].
+"""Constant forces with which the hand pushes onto the wall [N].
 
-Two pushes are used because the device then rests at two different places between encoder steps.
+With two forces, the device is tested at two different positions between encoder steps.
 """
 FRICTIONS_N = np.array([0.003, 0.008, 0.02, 0.04, 0.08])
 """Coulomb frictions f [N].
@@ -170,7 +171,7 @@ They range from below the lowest bound 2 f / Δ to just below the critical stiff
 
 
 class Push:
-    """Hand that pushes with a constant force, plus a knock of 2 N in the first tick."""
+    """Hand that pushes with a constant force, and with additional 2 N in the first tick."""
 
     def __init__(self, steady_N: float) -> None:
         self._steady = steady_N
@@ -185,8 +186,8 @@ class Push:
 def swing_steps(stiffness: float, friction: float) -> float:
     """Measure the peak-to-peak motion in the last third of a run [encoder steps].
 
-    The result is the larger motion under the two forces `PUSHES_N`. The wall is a spring that acts
-    in both directions: it also pulls back a device that has left the wall.
+    The result is the larger of the motions with the two forces in `PUSHES_N`. The wall is a spring
+    that acts in both directions: it also pulls back a device that has left the wall.
     """
     worst = 0.0
     for steady in PUSHES_N:
@@ -204,7 +205,7 @@ def swing_steps(stiffness: float, friction: float) -> float:
 
 
 class Quantisation(Page):
-    """Encoder steps: a device keeps buzzing if friction does not dissipate the added energy."""
+    """Buzzing of a device if its friction does not dissipate the energy from encoder steps."""
 
     name = "quantisation"
     title = "Quantisation: encoder steps against friction"
@@ -226,8 +227,7 @@ class Quantisation(Page):
         critical = critical_stiffness_N_m(loop)
 
         def buzzing(friction: float) -> dict[str, float]:
-            """Return the lowest stiffness with buzzing, the highest quiet stiffness, and two
-            bounds.
+            """Return the lowest buzzing stiffness, the highest quiet one, and two bounds.
 
             The bounds are the bound from encoder and friction, and the critical stiffness.
             """
@@ -251,7 +251,7 @@ class Quantisation(Page):
         }
 
     def judge(self, data: Data) -> Verdict:
-        """Check that the device buzzes below the critical stiffness, but not below the bound.
+        """Check that buzzing starts above the passive bound and below the critical stiffness.
 
         The bound is min(2 b / T, 2 f / Δ), with damping b, tick T, Coulomb friction f and encoder
         step Δ.
@@ -274,7 +274,7 @@ class Quantisation(Page):
         )
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw quiet and buzzing stiffnesses against the friction."""
+        """Draw the wall stiffnesses with and without buzzing against the friction."""
         axes = chart.subplots()
         table = data["friction"]
         friction = table["friction_N"]
@@ -302,14 +302,14 @@ MASS_KG = 0.05
 SHORT_TICK_S = 2.5e-4
 """Duration of a tick in the simulations of thin walls [s].
 
-A contact with the stiffness `STIFFNESS_N_M` and the mass `MASS_KG` lasts 22 ms.
+A contact lasts 22 ms.
 
-With such short ticks, the zero-order hold of the force adds little energy during a contact.
+With such short ticks, the zero-order hold of the force adds little energy to the device.
 """
 
 
 def point_proxy(thickness_m: float, *, start_m: float) -> Proxy:
-    """Return the proxy of a point tool at the height `start_m`, with a wall centred at z = 0."""
+    """Return the proxy of a point tool at the height `start_m`; the wall's middle is z = 0."""
     # 0.1 m wide, while devices move along z only
     wall = Box(np.zeros(3), np.array([0.1, 0.1, thickness_m]))
     proxy = Proxy(ToolShell.ball(), ContactField(wall))
@@ -318,7 +318,7 @@ def point_proxy(thickness_m: float, *, start_m: float) -> Proxy:
 
 
 def end_m(speed_m_s: float, thickness_m: float, proxy: Proxy | None) -> float:
-    """Compute the final height of a device that is thrown at a wall [m].
+    """Compute the final height [m] of a device that is thrown at a wall.
 
     The device starts just above the wall, whose middle plane is at z = 0. Without a proxy, the
     force is a penalty that pushes the device to the nearest face of the wall.
@@ -365,7 +365,7 @@ class ThinWalls(Page):
     )
 
     def measure(self) -> Data:
-        """Find the speed at which a device crosses a penalty wall; throw devices at proxies."""
+        """Find the speed at which a device crosses a penalty wall; test walls with a proxy."""
         # walls of 0.1 mm, as thin as a voxel, to 20 mm
         thickness = np.geomspace(1e-4, 2e-2, 8)
 
@@ -392,10 +392,10 @@ class ThinWalls(Page):
         return {"penalty": sweep("thickness_m", thickness, penalty), "proxy": proxy}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the crossing speed with its prediction, and count devices that a proxy stops.
+        """Compare the crossing speed with theory, and count the devices that a proxy stops.
 
-        The predicted speed follows from the energy that the spring of the wall stores over half the
-        thickness.
+        In theory, a device crosses the wall if its kinetic energy exceeds the energy of the wall's
+        spring at half the thickness.
 
         A device counts as stopped if it ends on the side from which it was thrown.
         """

@@ -1,1 +1,1 @@
-"""Calibration of observers: sessions that can be continued, populations, benefit of calibration."""
+"""Calibration of force perception: sessions of trials, population fits, simulated observers."""

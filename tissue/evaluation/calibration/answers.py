@@ -1,4 +1,4 @@
-"""Sources of the answers of a calibration session.
+"""Sources of answers in a calibration session of force perception.
 
 The answers come from a simulated observer, or from a person at the keyboard who feels forces on a
 device.
@@ -39,24 +39,26 @@ from tissue.scene.registry import DEVICES, GROUPS
 from tissue.simulation.builders.parts import new_device
 
 Answer = Callable[[Comparison | Magnitude, int], float]
-"""Function that returns the answer to a trial, given the trial and its number in the session."""
+"""Function that takes a trial and its number in the session, and returns the answer."""
 DIRECTION = np.array([0.0, 0.0, -1.0])
-"""Direction in which forces push the hand: down."""
+"""Unit vector of the force on the hand: downwards."""
 LENGTH_S = 0.8
 RAMP_S = 0.1
 PAUSE_S = 0.4
-"""Pause between two intervals [s].
+"""Pause [s] between the two force intervals of a trial.
 
-`LENGTH_S` is the length of an interval [s]. `RAMP_S` is the length of the soft start and of the
-soft end of an interval [s].
+`LENGTH_S` is the duration of a force interval [s]. In the first and the last `RAMP_S` [s], the
+force rises and falls smoothly.
 
-The force is constant for 0.6 s. This is six times the 0.1 s over which a person averages a force
-(`integration_s` in perception.toml). A force without a soft start and end would be felt as a tap.
+In between, the force is constant for 0.6 s. This is six times the 0.1 s over which a person
+averages a force (`integration_s` in perception.toml). Without the ramps, the force would be felt as
+a tap.
 """
 MOST_INVALID = 0.1
-"""Largest accepted fraction of invalid device samples in an interval.
+"""Largest accepted fraction of invalid device samples while a force is applied.
 
-At this fraction, the force fades for a shorter time than `RAMP_S`.
+With this fraction, the time in which the force fades because of invalid samples is shorter than
+`RAMP_S`.
 """
 
 
@@ -76,8 +78,8 @@ def play(
 ) -> None:
     """Apply a force for a limited time, with a soft start and a soft end.
 
-    The force fades while the device gives no valid samples, as in a run. The last command is always
-    zero force, even after an error.
+    While the device gives no valid samples, the force fades. The last commanded force is always
+    zero, even after an error.
 
     Parameters
     ----------
@@ -129,16 +131,15 @@ def play(
 
 
 class Person:
-    """Person who answers at a keyboard, with a device or with bars on the screen.
+    """Person who feels forces on a device, or sees them as bars, and answers at a keyboard.
 
     Parameters
     ----------
     device
-        Device that applies the forces, or a `SafeDevice` that holds one. None to show each force as
-        a bar.
+        Device that applies the forces, or a `SafeDevice` that holds one. If None, each force is
+        shown as a bar of characters.
     limits
-        Limits of the device. The length of a bar is proportional to the force divided by the
-        largest force of the device.
+        Limits of the device. A bar shows the force relative to the largest force of the device.
     read
         Function that returns the next typed line without the newline. The function raises EOFError
         at the end of the input.
@@ -168,7 +169,7 @@ class Person:
         self._clock = lambda: clock() - start
 
     def answer(self, asked: Comparison | Magnitude) -> float:
-        """Play a trial, and repeat the question until the answer is valid.
+        """Apply or show the forces of a trial; repeat the question until the answer is valid.
 
         Raises
         ------
@@ -219,7 +220,7 @@ class Person:
     def _length(self, force_N: float) -> int:
         """Return the length of the bar of a force, in characters.
 
-        A bar has at most 60 characters, so that it fits into a line of a terminal.
+        The bar has at most 60 characters.
         """
         return max(round(60.0 * force_N / self._limits.force_limit_N), 1)
 
@@ -282,11 +283,11 @@ def questioner(
     read: Callable[[], str],
     show: Callable[[str], None],
 ) -> Iterator[tuple[Answer, float]]:
-    """Yield the function that answers trials, and the largest force of the device [N].
+    """Yield a function that answers trials, and the largest force of the device [N].
 
     The answers come from the simulated observer with the name `observer`, or from a person if
-    `observer` is None. A real device is open inside the `with` block, and applies force only while
-    an interval is played.
+    `observer` is None. A real device is open inside the `with` block. It applies a force only
+    during the force intervals of a trial.
 
     Raises
     ------

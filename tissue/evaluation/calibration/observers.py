@@ -1,16 +1,14 @@
-"""Simulated observers with known parameters, and their discrimination of two forces.
+"""Simulated people who compare two forces, and the effect of a force mapping on the result.
 
-The discrimination is computed for unchanged forces, and for forces that a mapping scales. A person
-feels a force with individual noise, which is added after the mapping. The scatter of the force
-itself is added before the mapping. This scatter comes from tissue, hand and device. A monotonic
-mapping scales force and scatter together, so it cannot separate the two. The mapping changes
-discrimination only relative to the noise that is added after the mapping. A mapping with an
-exponent above 1 increases the differences between forces. A gain above 1 lifts forces above the
-low-force term of the threshold. Both improve discrimination. An exponent below 1 impairs
-discrimination. A common factor that keeps forces within the limits of the device impairs it too.
-Calibration maps every person to the exponent of the reference observer. This improves the
-discrimination of people with a lower exponent, and impairs the discrimination of people with a
-higher exponent. The mean over a population may increase or decrease.
+A mapping scales the force before the person feels it. The force scatters from trial to trial,
+because of tissue, hand and device. The mapping scales this scatter together with the force. The
+perceptual noise of the person is not scaled, because it is added after the mapping. A mapping
+therefore changes discrimination only relative to the perceptual noise. An exponent or a gain above
+1 improves discrimination: the differences between forces increase, or the forces exceed the
+low-force term of the threshold. An exponent or a gain below 1 impairs discrimination. Calibration
+gives every person the exponent of the reference observer. The discrimination of people with a lower
+exponent improves, and that of people with a higher exponent becomes worse. The mean over a
+population may increase or decrease.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,14 +30,14 @@ from tissue.perception.laws import D_PRIME_75, ForceMap, Intensity, intensity_of
 from tissue.perception.observer import population, reference_observer
 
 RESAMPLES = 2000
-"""Number of resampled groups of people from which a 95 % interval is computed.
+"""Number of bootstrap resamples of the people from which a 95 % interval is computed.
 
-With this number, the 2.5 % of the groups beyond each end have a standard error of 0.35 %.
+With this number, the tail probability of 2.5 % has a standard error of 0.35 %.
 """
 TOUCH = ForceRange(limit_N=device_parameters("touch").force_limit_N)
-"""Force range of the haptic device Touch."""
+"""Range of forces that the haptic device Touch can apply."""
 Command = Callable[[Array], Array]
-"""Function that converts forces to be felt [N] to forces at the device [N], of any shape."""
+"""Function that maps an array of forces [N] to the forces [N] that the device shall apply."""
 
 
 @suggests_arguments
@@ -47,10 +45,10 @@ Command = Callable[[Array], Array]
 class SimulatedObservers:
     """Simulated observers with known parameters, as arrays of shape (n,).
 
-    In a comparison of two intervals, each force is felt with noise of unit variance. On this scale,
-    a difference equal to the threshold kappa (F + offset) is 0.954, so 75 % of the answers at the
-    threshold are right. A force F is rated with the number alpha (F / 1 N)^beta, and noise is added
-    to the logarithm of this number.
+    The threshold of discrimination at the force F is kappa (F + offset). Two forces that differ by
+    the threshold are felt at a distance of 0.954. To each of them, noise of unit variance is added.
+    75 % of the answers at the threshold are therefore right. A person rates a force F with the
+    number alpha (F / 1 N)^beta, with noise in the logarithm of the number.
 
     Attributes
     ----------
@@ -59,8 +57,7 @@ class SimulatedObservers:
     kappa, offset_N
         Weber fraction, and low-force term of the threshold [N].
     lapse
-        Fraction of wrong answers even to strong stimuli. Observers guess twice this fraction of the
-        answers, and half of the guesses are right.
+        Fraction of wrong answers if the difference of the forces is large (lapse rate).
     sigma
         Standard deviation of the logarithm of a rated number.
     """
@@ -78,7 +75,7 @@ class SimulatedObservers:
     def correct(self, base_N: ArrayLike, step_N: ArrayLike, rng: np.random.Generator) -> Flags:
         """Return True for each observer who names the larger of two forces, shape (n,).
 
-        The forces are `base_N` and `base_N + step_N` [N]. A step of 0 has no right answer.
+        The forces are `base_N` and `base_N + step_N` [N]. For a step of 0, no answer is right.
 
         Parameters
         ----------
@@ -86,7 +83,7 @@ class SimulatedObservers:
             Smaller force, and difference of the larger force from it [N]. Each is a single value,
             or one value for each observer, shape (n,).
         rng
-            Random generator of the noise. Generators in equal states give the same noise for all
+            Random generator of the noise. Equal generator states give equal noise, whatever the
             forces.
         """
         threshold = self.kappa * (np.asarray(base_N) + self.offset_N)
@@ -95,8 +92,8 @@ class SimulatedObservers:
     def discriminate(self, distance: ArrayLike, rng: np.random.Generator) -> Flags:
         """Return True for each observer who answers correctly, shape (n,).
 
-        ``distance`` is the difference of two intervals, in standard deviations of the noise of an
-        interval.
+        ``distance`` is the felt difference of two forces, in standard deviations of the noise of
+        one force.
         """
         first, second = rng.standard_normal((2, len(self)))
         blind, guess = rng.random((2, len(self)))
@@ -108,7 +105,7 @@ class SimulatedObservers:
         )
 
     def number(self, force_N: ArrayLike, rng: np.random.Generator) -> Array:
-        """Return the number with which each observer rates a force in newtons, shape (n,)."""
+        """Return the number with which each observer rates a force, shape (n,)."""
         noise = self.sigma * rng.standard_normal(len(self))
         return self.alpha * np.asarray(force_N) ** self.beta * np.exp(noise)
 
@@ -116,7 +113,8 @@ class SimulatedObservers:
 def draw_observers(group: str, count: int, rng: np.random.Generator) -> SimulatedObservers:
     """Draw observers of a group (novice, intermediate or expert) at random.
 
-    The distributions of their parameters are from ``observers.toml`` and ``perception.toml``.
+    The distributions of the observers' parameters are from ``observers.toml`` and
+    ``perception.toml``.
     """
     people = replace(population(), kappa=constants("observers", group)["kappa"].value)
     drawn: dict[str, Any] = people.draws(count, rng)
@@ -125,7 +123,7 @@ def draw_observers(group: str, count: int, rng: np.random.Generator) -> Simulate
 
 @dataclass(frozen=True)
 class Stimulus:
-    """Force at the device: mean level, and standard deviation between trials [N]."""
+    """Force in repeated trials: mean, and standard deviation between trials [N]."""
 
     level_N: float
     scatter_N: float = 0.0
@@ -134,20 +132,20 @@ class Stimulus:
 def calibrated_commands(
     people: SimulatedObservers, rng: np.random.Generator, *, numbers: int = 24
 ) -> list[Command]:
-    """Calibrate people; return a function for each person that computes the force to command.
+    """Calibrate people; return the force mapping of each person.
 
-    The calibration uses forces that each person rates with numbers. With the commanded force, the
-    person feels the same intensity as the reference observer.
+    In the calibration, each person rates forces with numbers. With the mapped force, the person
+    feels the same intensity as the reference observer with the unchanged force.
 
     Parameters
     ----------
     people
-        People to calibrate. Each person rates `numbers` forces, with scatter of the ratings.
+        People to calibrate.
     rng
-        Random generator of the scatter.
+        Random generator of the scatter of the ratings.
     numbers
-        Number of forces that each person rates. With 0, the true exponent and factor of each person
-        are used instead.
+        Number of forces that each person rates. With 0, the true exponent and factor are used,
+        without ratings.
     """
     knee_N = TOUCH.knee_N
     wanted = intensity_of(reference_observer())
@@ -184,25 +182,24 @@ def share_right(
 ) -> Array:
     """Return the fraction of right answers of each person, shape (n,).
 
-    An answer is right if it names the stimulus with the higher level as the stronger one. Equal
-    seeds give the same scatter of the forces and the same noise in people, whatever the `commands`.
-    Two calls with equal seeds are therefore paired.
+    An answer is right if it names the stimulus with the larger mean as the stronger one. Two calls
+    with equal seeds and different `commands` have the same random numbers, so their results are
+    paired.
 
     Parameters
     ----------
     people
         Observers.
     first, second
-        The two stimuli. If their levels are equal, there is no right answer, and half of the
-        answers count as right.
+        The two stimuli. If their means are equal, half of the answers count as right.
     seed
-        Seed of the scatter of forces and of the noise in people.
+        Seed of the scatter of the forces and of the perceptual noise.
     trials
         Number of trials for each person.
     commands
-        For each person, the function that computes the force to command. None for unchanged forces.
+        Force mapping of each person. None for unchanged forces.
     limits
-        Force range of the device. Forces above the knee of this range are compressed.
+        Range of forces of the device. Forces near and above the upper end are compressed.
     """
     if first.level_N > second.level_N:
         first, second = second, first
@@ -226,10 +223,11 @@ def sensitivity(people: SimulatedObservers, first: Stimulus, second: Stimulus) -
     """Return the sensitivity d' of each person for two forces at the skin, shape (n,).
 
     The scatter of the forces between trials is included. Let t = kappa (F + offset) be the
-    threshold at the weaker force. Let m and s be mean and standard deviation of the difference of
-    the two forces. The difference is then felt as a distance with mean 0.954 m / t and standard
-    deviation 0.954 s / t. Each of the two intervals is felt with noise of unit variance. d' is the
-    distance without scatter that gives the same fraction of right answers.
+    threshold at the weaker force F. Let m and s be the mean and the standard deviation of the
+    difference between the two forces. The difference is then felt as a distance with mean 0.954 m /
+    t and standard deviation 0.954 s / t. In addition, each force is felt with noise of unit
+    variance. d' is the distance that gives the same fraction of right answers if the forces have no
+    scatter.
     """
     weaker = min(first.level_N, second.level_N)
     per_newton = D_PRIME_75 / (people.kappa * (weaker + people.offset_N))
@@ -241,7 +239,8 @@ def sensitivity(people: SimulatedObservers, first: Stimulus, second: Stimulus) -
 def chance_right(people: SimulatedObservers, first: Stimulus, second: Stimulus) -> Array:
     """Return the probability that each person names the stronger of two forces, shape (n,).
 
-    `first` and `second` are forces at the skin. The noise has a normal distribution.
+    `first` and `second` are forces at the skin. The scatter of the forces and the perceptual noise
+    have normal distributions.
     """
     # in two intervals P = Phi(d' / sqrt(2))
     right = ndtr(sensitivity(people, first, second) / 2.0**0.5)
@@ -249,7 +248,7 @@ def chance_right(people: SimulatedObservers, first: Stimulus, second: Stimulus) 
 
 
 def _played(force_N: Array, device: ForceRange) -> Array:
-    """Return the sizes of forces that a device plays for requested sizes [N], of any shape.
+    """Return the force magnitudes [N] that a device applies for requested magnitudes [N].
 
     The function applies the compression of `ForceRange.play` to arrays.
     """
@@ -261,10 +260,10 @@ def _played(force_N: Array, device: ForceRange) -> Array:
 
 
 def gain_of(before: Array, after: Array, rng: np.random.Generator) -> Effect:
-    """Return the relative change of the mean fraction of right answers [%].
+    """Return the relative change [%] of the mean fraction of right answers.
 
-    `before` and `after` are the fractions of the same n people, shape (n,). The 95 % interval is
-    computed by resampling the people.
+    `before` and `after` are the fractions for the same n people, each of shape (n,). The 95 %
+    interval is computed by resampling the people (bootstrap).
     """
     drawn = rng.integers(len(before), size=(RESAMPLES, len(before)))
     changes = 100.0 * (after[drawn].mean(axis=1) / before[drawn].mean(axis=1) - 1.0)

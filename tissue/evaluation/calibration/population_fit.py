@@ -1,4 +1,4 @@
-"""Fit of a population to the logs of many sessions."""
+"""Fit of a population of observers to the logs of many calibration sessions."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from tissue.show.figures.figure import figure, save
 
 
 def pooled_trials(sessions: list[Session]) -> PopulationTrials:
-    """Return the trials of many sessions, joined into arrays."""
+    """Return the trials of all sessions as arrays."""
     compared = [
         (who, asked.base_N, asked.step_N, answer == asked.greater)
         for who, each in enumerate(sessions)
@@ -47,10 +47,10 @@ def pooled_trials(sessions: list[Session]) -> PopulationTrials:
 
 
 def new_person(fit: PopulationFit, *, trials: int, rng: np.random.Generator) -> Observer:
-    """Return the distribution of an unmeasured person of the population, as an observer.
+    """Return an observer with the parameter distribution of a person who was not measured.
 
-    The distribution includes the spread between people. `trials` is the number of trials of the
-    fit.
+    The distribution includes the spread between the people of the population. `trials` is the
+    number of trials to which the population was fitted.
     """
     flat = {name: fit.draws[name].ravel() for name in HYPER}
     count = len(flat["beta"])
@@ -79,16 +79,16 @@ def fit_population(
 ) -> list[str]:
     """Fit the hierarchical model to all trial logs in a folder, and write the population.
 
-    The file `out` describes an observer of whom only membership in the population is known. A table
-    next to this file holds the interval and the convergence diagnostics of every parameter of the
-    population. The result of the fit is also returned as sentences. With ``progress``, every Markov
-    chain shows a progress bar.
+    The written observer `out` has the parameter distribution of a person who was not measured. A
+    table next to this file contains, for every parameter of the population, the interval and the
+    convergence diagnostics. The returned sentences describe the result of the fit. With
+    ``progress``, every Markov chain shows a progress bar.
 
     Raises
     ------
     InputError
-        If the folder holds fewer than three logs with numbers and comparisons, a log cannot be
-        read, or an output file exists and may not be replaced.
+        If fewer than three logs in the folder contain both ratings and comparisons, a log cannot be
+        read, or an output file exists and `overwrite` is false.
     """
     table = out.with_name(out.stem + ".table.csv")
     if out.suffix != ".json":
@@ -203,9 +203,9 @@ def _posterior(session: Session, axes: Axes) -> None:
 
 
 def _answers(session: Session, axes: Axes) -> None:
-    """Draw the fraction of right answers against the force step divided by the threshold.
+    """Draw the fraction of right answers against the ratio of force difference to threshold.
 
-    Each bin holds about the same number of answers.
+    The answers are divided into bins of about equal size.
     """
     weber, offset, lapse = (
         float(get()[0])

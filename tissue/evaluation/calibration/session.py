@@ -1,4 +1,4 @@
-"""Calibration session: next trial, present estimates, and limits of these estimates."""
+"""Calibration session of a person: trials, parameter estimates and trial log."""
 
 import json
 import os
@@ -73,7 +73,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Trial with two intervals, one of which has the larger force. The answer is 1 or 2."""
+    """Trial with two force intervals. The answer, 1 or 2, names the larger force."""
 
     base_N: float
     step_N: float
@@ -88,14 +88,14 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Magnitude:
-    """Trial with one interval, whose force is rated with a number above 0."""
+    """Trial with one force, which the person rates with a number above 0."""
 
     force_N: float
 
 
 @suggests_arguments
 class Session:
-    """State of a session after some answers.
+    """State of a calibration session, with all answers so far.
 
     The state depends only on the plan and the answers.
 
@@ -106,9 +106,9 @@ class Session:
     threshold
         Posterior distribution of the threshold parameters.
     asked
-        Answered comparisons, each with its answer.
+        Comparison trials that were answered, each with the answer.
     given
-        Rated forces [N], each with its number.
+        Forces [N] that were rated, each with the number that the person gave.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -185,7 +185,7 @@ class Session:
         )
 
     def observer(self, name: str) -> Observer:
-        """Return the observer with the present estimates: mean and covariance of the posteriors."""
+        """Return an observer with the mean and covariance of the present posteriors."""
         weber, offset, lapse, _ = self.plan.prior.parameters()
         coordinates = np.array([np.log(weber), np.log(offset), logit(lapse)])
         masses = self.threshold.posterior[:, 0]
@@ -208,7 +208,7 @@ class Session:
     def lines(self) -> list[str]:
         """Return the present estimates as sentences.
 
-        The numbers agree with the numbers in the observer's file.
+        The numbers in the sentences equal those that are written to the observer's file.
         """
         # the ends of the 95 % interval
         low, high = self.threshold.weber_quantiles(np.array([0.025, 0.975]))[:, 0]
@@ -230,9 +230,9 @@ class Session:
         return notes
 
     def notes(self) -> list[str]:
-        """Return warnings about estimates that the answers do not determine.
+        """Return warnings about parameters that the answers do not determine.
 
-        The list is empty for an ordinary session.
+        The list is empty if there is no such parameter.
         """
         found = []
         count = len(self.asked)
@@ -293,9 +293,9 @@ class TrialLog:
     Parameters
     ----------
     path
-        Log file. An existing file is continued if it belongs to this observer and this plan.
+        Log file. If the file exists with the same observer and plan, new trials are appended.
     observer
-        Name of the observer who answers, as given to the command.
+        Name of the observer who answers.
     plan
         Plan of the session.
 
@@ -310,8 +310,8 @@ class TrialLog:
     Raises
     ------
     InputError
-        If the file has another origin, observer or plan, or holds a line that is not a trial. The
-        file is left unchanged.
+        If the file is not a trial log, has another observer or plan, or contains a line that is not
+        a trial. The file is left unchanged.
     """
 
     def __init__(self, path: Path, observer: str, plan: Plan) -> None:

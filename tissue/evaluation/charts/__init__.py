@@ -1,1 +1,1 @@
-"""Time of a tick and force error of every setting of a scene, measured on this machine."""
+"""Charts of computing time and force error for the numerical settings of a scene."""

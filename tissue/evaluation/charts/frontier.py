@@ -1,4 +1,4 @@
-"""Measurements of the settings of a scene, which are stored, and the Pareto-optimal settings."""
+"""Stored measurements of a scene's numerical settings, and the Pareto-optimal settings."""
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
@@ -32,15 +32,16 @@ from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 
 OFFERED_US = 800.0
-"""Largest 99th percentile of the time of a tick [us] at which finer settings are still measured.
+"""Largest 99th percentile of the computing time of a tick [us] for a further refinement.
 
-The loop of device and hand needs the remaining time of a tick of 1 ms.
+If a finer setting takes longer, settings that are finer still are not measured. The haptic loop
+needs the rest of the tick of 1 ms.
 """
 
 
 @dataclass(frozen=True)
 class Frontier:
-    """Measurements of all settings of a scene.
+    """Measurements of a scene at all its numerical settings.
 
     Attributes
     ----------
@@ -49,7 +50,8 @@ class Frontier:
     points
         One measurement for each setting.
     gap
-        Relative uncertainty of the reference force, see `reference_gap`.
+        Relative uncertainty of the reference force from which force errors are computed, see
+        `reference_gap`.
     settings
         Settings in the order of the points.
     """
@@ -75,7 +77,7 @@ def undominated(points: Sequence[Measured]) -> list[Measured]:
 
 
 def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) -> Frontier:
-    """Return the measurements of a scene; measure the settings without a stored measurement.
+    """Return measurements for all settings of a scene; measure those that are not stored.
 
     Every measurement is stored immediately, so that an interrupted chart can continue.
 
@@ -85,7 +87,7 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
         Scene. If the scene has a device, the settings of the haptic loop are measured; otherwise,
         the settings of the tissue model.
     quick
-        Use fewer settings, a shorter excerpt and a coarser reference.
+        If true, use fewer settings, a shorter part of the run and a coarser reference.
     report
         Called with the name and the progress of each measurement.
     """
@@ -143,23 +145,23 @@ def write_measured(path: Path, points: Sequence[Measured]) -> None:
 SAFETY = 1.5
 """Safety factor on force errors that were measured at a few places.
 
-A setting satisfies a demanded error if its measured error times this factor is at most the demanded
-error.
+A setting satisfies a demanded force error if its measured error times this factor does not exceed
+the demanded error.
 
-The factor keeps the error within the demand at other places too. It was chosen with seeds 1-10 of
-an earlier force law. It was then tested with five further motions on each of four scenes and of
-four imaged teeth and scapulae. With a factor of 1.5, the error stays within every demand. With a
-factor of 1.25, the error exceeds a demand on one tooth. With a factor of 1, the error stays within
-a demand of 1 % for only two of five motions on another tooth (tests/bench/held_out.py).
+The factor covers larger errors at places that were not measured. It was chosen with seeds 1-10 of
+an earlier force law, and tested with five other motions on each of four scenes and on each of four
+imaged teeth and scapulae (tests/bench/held_out.py). With a factor of 1.5, no error exceeds the
+demanded error. With 1.25, the error exceeds the demand on one tooth. With 1 and a demanded error of
+1 %, the error exceeds the demand for three of five motions on another tooth.
 """
 
 
 def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) -> Measured:
     """Return the measurement of the cheapest setting that satisfies a demanded fidelity.
 
-    If only a tick time is demanded, the most accurate setting that satisfies it is chosen. Measured
-    errors are multiplied by `SAFETY`. An error below `gap`, the uncertainty of the reference,
-    counts as `gap`.
+    If only a computing time of a tick is demanded, the most accurate setting within this time is
+    chosen. Measured errors are multiplied by `SAFETY`. `gap` is the relative uncertainty of the
+    reference force; smaller errors count as `gap`.
 
     Raises
     ------
@@ -196,9 +198,10 @@ def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) ->
 
 
 def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, str]:
-    """Return a scene at the setting that its `fidelity` demands, and the reason for the choice.
+    """Return a scene with the setting that its key `fidelity` demands, and the reason.
 
-    See `choose` for the choice. Settings that were not measured on this machine are measured first.
+    The setting is chosen by `choose`. Settings that were not measured on this machine are measured
+    first.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Error of the linear elastic law of an organ, and choice of the law for a demanded fidelity."""
+"""Error of the linear elastic law of an organ, and choice of a law for a demanded error."""
 
 import numpy as np
 
@@ -16,19 +16,19 @@ from tissue.simulation.builders.organ import hindrance
 from tissue.simulation.simulate import simulate
 
 LAW = "neo-hookean"
-"""Default law that replaces the linear law.
+"""Elastic law that replaces the linear law if the linear law is not accurate enough.
 
 This law needs only the constants of linear elasticity.
 """
 CITED_LAW = "exponential"
-"""Law that replaces the linear law for a material with a published exponential rate."""
+"""Elastic law that replaces the linear law if the exponential rate of the material is known."""
 EXPONENTIAL_ERROR = ((0.1, 0.045), (0.2, 0.104), (0.3, 0.164), (0.5, 0.283), (0.75, 0.431))
-"""Pairs of depth and relative error of the linear force.
+"""Pairs of relative depth and relative error of the force by the linear elastic law.
 
 The depth is the indentation by a ball, divided by the radius of the ball. The error is the
 difference from the force of the exponential law, divided by this force.
 
-The exponential law has a rate of 4.6, the published value of a compressed liver. The layer of
+The exponential law has a rate of 4.6, which was published for liver in compression. The layer of
 tissue is ten radii thick (`tests/tissue/evaluation/test_law_choice.py`). On a layer of five radii,
 the errors are 1.2 times as large. On a layer of 2.5 radii, they are 1.8 times as large.
 """
@@ -45,7 +45,7 @@ def _pressed_by_a_ball(scene: Scene) -> bool:
 
 
 def linear_error(depth: float, law: str = LAW) -> float:
-    """Return the relative error of the linear force on a ball against the force of a nonlinear law.
+    """Return the relative error of the linear law's force on a ball against a nonlinear law.
 
     ``depth`` is the indentation divided by the radius of the ball. The error is interpolated in the
     table `LINEAR_ERROR` or `EXPONENTIAL_ERROR`, and is zero at zero depth. Beyond the last depth of
@@ -59,9 +59,10 @@ def linear_error(depth: float, law: str = LAW) -> float:
 
 
 def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
-    """Return a scene with the elastic law that a demanded force error needs, and the reason.
+    """Return a scene with an elastic law that satisfies a demanded force error, and the reason.
 
-    The reason is a text that continues a sentence. It is empty if the law was not chosen here.
+    The reason is a text that is appended to a sentence. It is empty if this function keeps the law
+    of the scene.
 
     Parameters
     ----------
@@ -74,7 +75,7 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
     Raises
     ------
     InputError
-        If 99 % of the ticks with the needed law do not stay within the demanded time.
+        If more than 1 % of the ticks with the needed law take longer than the demanded time.
     """
     organ = scene.organ
     needed = _law_of_material(scene)
@@ -127,14 +128,14 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
 
 
 def _law_of_material(scene: Scene) -> str:
-    """Return the nonlinear law whose constants are all known for a scene's material."""
+    """Return the name of a nonlinear law whose constants are known for the scene's material."""
     organ = scene.organ
     known = scene.constants.constants("soft", organ.material)
     return CITED_LAW if "exponential_rate" in known and organ.young_kPa is None else LAW
 
 
 def _largest_depth_mm(scene: Scene) -> float:
-    """Return the largest indentation by the scripted motion [mm], computed on the coarsest mesh.
+    """Return the largest indentation [mm] by the scripted tool, computed on the coarsest mesh.
 
     The result is stored on disk.
     """

@@ -1,4 +1,4 @@
-"""Measurement of a setting: time of a tick, and force error against the reference."""
+"""Measurement of a numerical setting: computing time of a tick, and force error."""
 
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -42,7 +42,7 @@ def of_model(scene: Scene) -> Scene:
 
 
 def grid_force_N(scene: Scene, changes: Changes) -> Array:
-    """Compute the force on the tool at every tick with the model of a scene [N], shape (n, 3).
+    """Compute the force on the tool [N], shape (n, 3), with a changed model of a scene.
 
     The result is stored on disk.
     """
@@ -56,10 +56,10 @@ def grid_force_N(scene: Scene, changes: Changes) -> Array:
 
 
 def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array, Array]:
-    """Return the force of a run and its reference on the same motion, each shape (n, 3) [N].
+    """Return the force of a run and the reference force for its motion [N], each shape (n, 3).
 
-    If a hand moves the tool, the force is the played force. Its reference is then the force of a
-    loop without delay on the finest model.
+    If a hand moves the tool, the first force is the force that the device applies. The reference is
+    then the force of the finest model without delay of the haptic loop.
     """
     if scene.device is not None:
         return played_force_N(run.trace), ideal_force_N(run, finest(scene, quick=quick))
@@ -72,13 +72,13 @@ def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array
 def reference_gap(scene: Scene, *, quick: bool, by_hand: bool = False) -> float:
     """Return the relative uncertainty of the reference force.
 
-    Differences between forces that are smaller than this uncertainty are not resolved.
+    Force errors below this uncertainty are not significant.
 
-    The uncertainty depends on the reference. If the geometry is known exactly and a script moves
-    the tool, it is the uncertainty of the force on this geometry. If a hand moves the tool, the
-    reference is the finest grid, and its error on the exact geometry is returned. Without an exact
-    geometry, it is the grid-convergence index of the finest grid. For a wall or a needle, it is
-    zero.
+    If the geometry is known exactly and a script moves the tool, the reference is the force on the
+    exact geometry, and its numerical uncertainty is returned. If a hand moves the tool, the
+    reference is the force on the finest grid, and its difference from the force on the exact
+    geometry is returned. Without an exact geometry, the grid-convergence index of the finest grid
+    is returned. For a wall or a needle, the result is zero.
     """
     model = of_model(scene)
     if not has_exact_geometry(model):
@@ -96,7 +96,7 @@ def reference_gap(scene: Scene, *, quick: bool, by_hand: bool = False) -> float:
 
 
 def reference_words(scene: Scene, gap: float) -> str:
-    """Return the kind of a scene's reference force, and the uncertainty of this force, in words."""
+    """Describe the kind and the uncertainty of a scene's reference force in words."""
     model = of_model(scene)
     percent = f"{100.0 * gap:.2g} %"
     exact = has_exact_geometry(model)
@@ -120,30 +120,30 @@ EXCERPT_S = {True: 1.2, False: 3.0}
 LATE_S = 0.3
 """Additional simulated time if a hand moves the tool [s].
 
-Such a tool lags behind the scripted path.
+A tool in a hand lags behind the scripted path.
 """
 MARGIN_MM = 0.5
-"""Width of the bone that is modelled around the region that a scripted tool reaches [mm].
+"""Width [mm] of the modelled bone around the region that a scripted tool reaches.
 
-This is the smallest margin that a scene allows. The margin affects the time to build the bone, but
-no force.
+This is the smallest margin that a scene allows. The margin affects only the time to build the bone,
+not the force.
 """
 STRAY_MM = 1.5
-"""Largest width of bone that is modelled around the path if a hand moves the tool [mm].
+"""Largest width [mm] of the modelled bone around the path if a hand moves the tool.
 
-A hand deviates from the path.
+The margin is needed because a hand deviates from the path.
 """
 REPEATS = 2
-"""Number of runs of a setting that is measured at a single place.
+"""Number of runs of a numerical setting that is measured at a single tool position.
 
 The time of the fastest run counts.
 
 A quick chart of a haptic loop uses one run.
 """
 SETTLED = 20
-"""Number of ticks at the beginning of the contact whose times are ignored.
+"""Number of ticks at the beginning of contact that are excluded from computing times.
 
-These ticks take longer because they load code.
+In these ticks, code is loaded.
 """
 
 
@@ -154,14 +154,16 @@ class Measured:
     Attributes
     ----------
     scene, setting, family, machine
-        Names of the scene, of the setting and of its family, and machine of the measurement.
+        Names of scene, setting and family of settings, and the machine on which the times were
+        measured.
     force_error
-        ||F - F_ref|| / ||F_ref|| over the ticks of a run: the largest value of all places.
+        ||F - F_ref|| / ||F_ref|| over the ticks of a run. Of several tested tool positions, the
+        largest value.
     error_50_ms
-        Same error for forces that are averaged over 50 ms.
+        The error `force_error` after both forces are averaged over 50 ms.
     median_us, p99_us, missed
-        Median and 99th percentile of the time of a tick in contact [us], and number of ticks that
-        took longer than 1 ms.
+        Median and 99th percentile of the computing time of a tick in contact [us], and number of
+        ticks that took longer than 1 ms.
     """
 
     scene: str
@@ -176,11 +178,11 @@ class Measured:
 
 
 def short_of(scene: Scene, quick: bool) -> Scene:
-    """Return the excerpt of a scene that is run at each setting.
+    """Return the shortened scene that is run at each numerical setting.
 
-    A scene with a device and a spinning tool is not shortened. At the start of a cut, the hand
-    presses with less than the friction of the device, so the force error of a short run would be
-    noise.
+    A scene with a device and a spinning tool is not shortened. At the start of a cut, the force of
+    the hand is smaller than the friction of the device. The force error of a short run would
+    therefore be random.
     """
     cuts = isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0
     if scene.device is not None and cuts:
@@ -191,8 +193,9 @@ def short_of(scene: Scene, quick: bool) -> Scene:
 def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
     """Return the scene up to `EXCERPT_S` after the first contact, with less bone around the path.
 
-    A hand and a script get the same path, so that both have the same reference. The hand gets more
-    time. ``coarse`` holds the changes of the coarse setting with which the first contact is found.
+    The path does not depend on whether a hand or a script moves the tool. With a hand, the run
+    lasts `LATE_S` longer. ``coarse`` holds the changes of the scene for the coarse setting with
+    which the time of the first contact is computed.
     """
     if isinstance(scene.tool, Tool):
         # a hand deviates from its path, so it needs more margin of the scene
@@ -211,7 +214,7 @@ def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
 
 
 def _first_contact_s(scene: Scene, span_s: float) -> float:
-    """Return the time of the first contact of a scripted motion [s], by short test runs.
+    """Return the time [s] at which a scripted tool first touches the tissue, by test runs.
 
     The result is stored on disk.
     """
@@ -259,8 +262,8 @@ def _length_s(scene: Scene) -> float:
 def _until(scene: Scene, end_s: float) -> Scene:
     """Return the scene with a shorter duration [s].
 
-    The path of the tool is cut off at this time too, because an organ is prepared along the whole
-    path.
+    The path of the tool is shortened too, because the model of an organ is prepared for contact
+    along the whole path.
     """
     if 0.0 < _length_s(scene) <= end_s:
         return scene
@@ -277,7 +280,7 @@ def _until(scene: Scene, end_s: float) -> Scene:
 
 
 def measure(scene: Scene, setting: Setting, *, quick: bool) -> Measured:
-    """Run a scene at one setting: once at each of several places, or repeatedly at one place."""
+    """Run a scene with one setting at several tool positions, or repeatedly at one position."""
     places = placed(scene)
     runs = []
     errors = []

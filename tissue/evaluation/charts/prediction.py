@@ -1,4 +1,4 @@
-"""Comparison of all predictors on unseen runs: error by horizon, and computing time."""
+"""Comparison of force predictors on runs that were not used for training."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -26,15 +26,15 @@ from tissue.simulation.builders.prediction import trained_predictor
 from tissue.system.owned_folder import OwnedFolder
 
 FIRST_SEED = 10_000
-"""First seed of the unseen runs. Training uses the seeds 0, 1, 2, ..."""
+"""First seed of the test runs. Training uses the seeds 0, 1, 2, ..."""
 SHARES = (0.7, 1.3)
-"""Tissue force in unseen runs, divided by the tissue force of the scene for the same motion.
+"""Factors on the tissue force in test runs, relative to the scene.
 
-The unseen runs use the two ratios in turn.
+The test runs use the two factors in turn.
 """
 OURS = "koopman-look-ahead"
 DELAY_MS = 4
-"""Latency of the loops in the unseen runs [ms], near the mean of 4.3 ms in the paper."""
+"""Latency of the haptic loop in the test runs [ms], near the mean of 4.3 ms in the paper."""
 
 
 TABLES = ("errors.csv", "cost.csv")
@@ -49,9 +49,10 @@ class PredictorComparison:
     scene
         Name of the scene.
     errors
-        Relative force errors by name of the predictor, each of shape (runs, horizons).
+        Relative force errors, shape (runs, horizons), keyed by the name of the predictor.
     cost_us
-        Median and 99th percentile of the time that a predictor takes in a tick [us], by name.
+        Median and 99th percentile of the computing time of a predictor in a tick [us], keyed by the
+        name of the predictor.
     """
 
     scene: str
@@ -66,10 +67,10 @@ class PredictorComparison:
 def _compare(
     scene: Scene, *, trials: int, file: Path | None, report: Progress
 ) -> PredictorComparison:
-    """Measure all predictors on unseen runs of a scene.
+    """Measure all predictors on runs of a scene that were not used for training.
 
-    Compared with training, these runs have other seeds, tissue that is 30 % softer or stiffer, and
-    always 4 ms of latency.
+    Unlike the training runs, these runs have tissue that is 30 % softer or stiffer, and a fixed
+    latency of 4 ms.
 
     Raises
     ------
@@ -102,9 +103,9 @@ def _compare(
 
 
 def _cost_us(predictor: Predictor, run: Recording) -> tuple[float, float]:
-    """Measure median and 99th percentile of the time that a predictor takes in a tick [us].
+    """Measure the median and 99th percentile of a predictor's computing time per tick [us].
 
-    In a tick, the predictor observes the present state and predicts the force `DELAY_MS` later.
+    In each tick, the predictor observes the state and predicts the force `DELAY_MS` ahead.
     """
     # like the loop, this shows contacts only to predictors that use them
     shown = predictor if isinstance(predictor, SeesContact) else None
@@ -172,8 +173,8 @@ def chart_prediction(
     Raises
     ------
     InputError
-        If the folder is a file or holds another chart, there are fewer than two trials, or a scene
-        cannot be used.
+        If `folder` is a file or already contains a chart and `overwrite` is false, `trials` is
+        below 2, or a scene cannot be run.
     """
     # one run has no interval
     if not 2 <= trials <= MOST_TRIALS:
@@ -195,9 +196,9 @@ def chart_prediction(
 def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
     """Return the prediction errors at a horizon of 4 ms in words, with comparisons of predictors.
 
-    `OURS` and every registered predictor are compared with zero-order hold and with the best other
-    predictor. The text calls a predictor better or worse only if the interval of the paired
-    difference over runs excludes zero.
+    The predictor `OURS` and every registered predictor are compared with zero-order hold and with
+    the best of the remaining predictors. A predictor is called better or worse only if the 95 %
+    interval of the paired difference excludes zero.
     """
     lines = [
         "error at 4 ms on unseen runs, % of the force (mean, 95 % interval on a logarithmic scale)"
@@ -233,9 +234,10 @@ def _verdict(found: PredictorComparison, kind: str, at_delay: Mapping[str, Inter
 
 
 def _write_comparisons(found: Sequence[PredictorComparison], folder: Path) -> None:
-    """Write the tables of errors and costs.
+    """Write the tables of prediction errors and computing times.
 
-    Errors are relative to the force. The columns low and high are the ends of the 95 % interval.
+    Errors are relative to the force. The columns ``low`` and ``high`` are the ends of the 95 %
+    interval.
     """
     errors: list[Sequence[object]] = [
         ("scene", "predictor", "horizon_ms", "runs", "error", "low", "high")
@@ -250,13 +252,14 @@ def _write_comparisons(found: Sequence[PredictorComparison], folder: Path) -> No
 
 
 LIMIT_US = 20.0
-"""Target for the median time that a predictor takes in a tick [us]."""
+"""Target for the median computing time of a predictor in a tick [us]."""
 
 
 def draw_scene(found: PredictorComparison, path: Path) -> None:
     """Draw the results of all predictors for one scene.
 
-    The two panels show the error against the horizon, and the error against the cost.
+    The left panel shows the error against the horizon; the right panel shows the error against the
+    computing time.
     """
     # inches: a row of two panels over the legend
     chart = figure(8.5, 4.2)
@@ -297,7 +300,7 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
 
 
 def draw_tasks(found: Sequence[PredictorComparison], path: Path) -> None:
-    """Draw the error of every predictor 4 ms ahead on every scene, with its 95 % interval."""
+    """Draw the error of every predictor on every scene at a horizon of 4 ms."""
     # inches: 1.9 for the points of a scene, and at least the width of the legend
     chart = figure(max(1.9 * len(found) + 1.6, 6.0), 4.4)
     chart.set_layout_engine("constrained")

@@ -1,4 +1,4 @@
-"""Charts of scenes: settings of scripted and of hand-held tools, as pictures and tables."""
+"""Charts of force error against computing time for the numerical settings of scenes."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,11 +29,12 @@ def chart_scenes(
     overwrite: bool = False,
     report: Progress = silent,
 ) -> list[list[Frontier]]:
-    """Measure and draw the settings of scenes, or of all scenes if no names are given.
+    """Measure scenes at all numerical settings and draw the results; no names: all scenes.
 
-    For each scene, NAME.png and NAME.csv are written. The picture frontier.png shows all scenes.
+    For each scene, ``NAME.png`` and ``NAME.csv`` are written. The picture ``frontier.png`` shows
+    all scenes.
 
-    Stored measurements of this machine are used again, so an interrupted chart can be continued.
+    Measurements are stored on disk, so an interrupted call can be continued.
 
     Raises
     ------
@@ -66,9 +67,9 @@ def chart_scenes(
 
 
 def charted(scene: Scene) -> list[Scene]:
-    """Return the variants of a scene that are charted: with a scripted tool, with a hand, or both.
+    """Return the variants of a scene to measure: with a scripted tool, with a hand, or both.
 
-    A scene with a device is charted only with a hand, unless the tool cuts.
+    A scene with a device is measured only with a hand, unless the tool cuts.
     """
     cuts = isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0
     if scene.device is not None and not cuts:
@@ -77,7 +78,7 @@ def charted(scene: Scene) -> list[Scene]:
 
 
 def notes_before(names: Sequence[str]) -> list[str]:
-    """Return a note for each scene whose chart leaves out untrained predictors.
+    """Return a note for each scene whose chart omits predictors that were not trained.
 
     Nothing is measured.
     """
@@ -93,7 +94,7 @@ def notes_before(names: Sequence[str]) -> list[str]:
 
 
 def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
-    """Return the charts in words, with a line for each Pareto-optimal setting."""
+    """Describe measured scenes in words, with a line for each Pareto-optimal setting."""
     lines = []
     for each in (frontier for both in found for frontier in both):
         scene = each.scene
@@ -135,14 +136,15 @@ Most colours are from Okabe and Ito (2008).
 LEAST = 1e-4
 """Error [%] that replaces zero on logarithmic axes."""
 BY = {"script": ("#0072B2", "by script: model"), "hand": ("#B34700", "by hand: loop")}
-"""Colour and label of scripted and of hand-held tools in the overview."""
+"""Colour and label for scripted and hand-held tools in the picture of all scenes."""
 COLUMNS = 4
 
 
 def draw_frontiers(found: Sequence[Frontier], path: Path) -> None:
-    """Draw force error against tick time (median and 99th percentile), one panel per frontier.
+    """Draw force error against computing time per tick, one panel per scene variant.
 
-    The uncertainty of the reference is shaded.
+    The median and the 99th percentile of the time are drawn. The uncertainty of the reference force
+    is shaded.
     """
     # inches for each panel with its legend to the right
     chart = figure(7.0 * len(found), 4.6)
@@ -154,9 +156,10 @@ def draw_frontiers(found: Sequence[Frontier], path: Path) -> None:
 
 
 def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
-    """Draw a panel for each scene with the Pareto-optimal settings by script and by hand.
+    """Draw the Pareto-optimal settings of each scene, for scripted and hand-held tools.
 
-    The settings are numbered, and their names are listed next to the panel.
+    There is one panel for each scene. The settings are numbered, and the names of the settings are
+    listed next to the panel.
     """
     columns = min(COLUMNS, len(found))
     rows = -(-len(found) // columns)
@@ -194,7 +197,7 @@ def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
 
 
 def _draw_best(axes: Axes, found: Frontier, colour: str, label: str, names: Sequence[str]) -> None:
-    """Draw the Pareto-optimal settings of a scene, each with a text next to its point."""
+    """Draw the Pareto-optimal settings of a scene as points with a text."""
     ticks = [point.median_us for point in found.best]
     errors = [_percent(point.force_error) for point in found.best]
     axes.step(ticks, errors, "-o", where="post", color=colour, label=label)

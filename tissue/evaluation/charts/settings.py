@@ -1,4 +1,4 @@
-"""Settings of a scene from coarse to fine, three grids for convergence, and tool positions."""
+"""Numerical settings of a scene, grids for a convergence study, and test positions."""
 
 import os
 import platform
@@ -28,25 +28,25 @@ from tissue.scene.tool import PathMotion, Probe, Tool
 from tissue.simulation.builders.cutting import cutter_of
 
 LATENCY_MS = 4
-"""Latency of the loops if the scene does not set a latency [ms].
+"""Latency of the haptic loop [ms] if the scene does not set a latency.
 
 The mean in the paper is 4.3 ms.
 """
 VOXEL_SHARES = {True: (1.0, 0.5**0.5, 0.5), False: (1.0, 3.0**-0.5, 1.0 / 3.0)}
-"""Voxel edges on the three grids for a grid-convergence index, divided by the edge of the scene.
+"""Voxel edges of three grids, relative to the scene, for a grid-convergence index.
 
 The key is True for a quick chart and False for a full chart.
 """
 TET_SHARES = {True: (1.0, 0.8, 0.64), False: (1.0, 0.5**0.5, 0.5)}
-"""Edges of tetrahedra on the three grids, divided by the edges of the scene; see `VOXEL_SHARES`.
+"""Edges of tetrahedra in three meshes, relative to the scene; see `VOXEL_SHARES`.
 
-With half the edge, there are seven times as many unknowns: 140,000 for a liver. With ratios closer
-to 1, the scatter of the force from mesh to mesh would hide the order of convergence.
+Half the edge gives seven times as many unknowns, 140,000 for a liver. Meshes with more similar
+edges do not show the order of convergence, because the force varies irregularly from mesh to mesh.
 """
 PLACES = ((0.0, 0.0, 1.0), (-0.37, -0.61, 1.07), (0.61, 0.37, 0.93))
-"""Shift along x, shift along y and factor on the depth of the path, for three test positions.
+"""Shift of the tool path along x and y, and factor on its depth, for three positions.
 
-The shifts are fractions of the coarsest voxel or of the edge of a tetrahedron. The error of a
+The unit of the shifts is the edge of the coarsest voxel or of a tetrahedron. The error of a
 discretisation depends on the position of the tool relative to the grid or mesh. For example, a path
 along the faces of voxels has a smaller error than a path between them. No shift is a half, a third
 or a quarter, so the position relative to a finer grid changes too.
@@ -58,20 +58,20 @@ Changes = Mapping[str, object]
 
 @dataclass(frozen=True)
 class Setting:
-    """Values of a scene's numerical parameters whose cost and error are measured.
+    """Numerical setting of a scene, whose computing time and force error are measured.
 
     Attributes
     ----------
     name
         Short name for pictures.
     family
-        Varied quantity: voxels, shell, cutting, elements, path, stress or loop; "model" if
-        nothing is varied.
+        Kind of the varied parameter: "voxels", "shell", "cutting", "elements", "path", "stress" or
+        "loop"; "model" if nothing is varied.
     changes
         Changes of the scene: values by dotted key. A value of None removes the entry.
     finer
-        True if the setting is finer than the scene. Such a setting is measured only if the
-        preceding finer settings stay within the time of a tick.
+        True if the setting is finer than the scene. Such a setting is measured only if the previous
+        finer setting is fast enough.
     """
 
     name: str
@@ -81,7 +81,7 @@ class Setting:
 
 
 def by_hand(scene: Scene) -> Scene:
-    """Return the scene on a device, with a latency that a predictor can compensate."""
+    """Return the scene with a haptic device and with a latency."""
     changes: dict[str, object] = {} if scene.device is not None else {"device": "touch"}
     # without a latency, predictors have nothing to predict
     if scene.device is None or scene.device.coupling.delay_ms == 0:
@@ -90,19 +90,19 @@ def by_hand(scene: Scene) -> Scene:
 
 
 def untrained(scene: Scene) -> tuple[str, ...]:
-    """Return the predictors that need training, if the scene has no trained predictor file."""
+    """Return the predictors that cannot be used because the scene has no trained predictor."""
     if is_trained(scene.name, scene.predictor_file):
         return ()
     return tuple(kind for kind in PREDICTORS if PREDICTORS[kind].trained)
 
 
 def settings_of(scene: Scene, *, quick: bool) -> list[Setting]:
-    """Return the settings of a scene.
+    """Return the numerical settings of a scene.
 
     If the scene has a device, these are settings of the haptic loop, otherwise settings of the
     tissue model.
 
-    The setting for a demanded fidelity is chosen among the quick settings.
+    If `quick` is true, there are fewer settings.
     """
     if scene.device is not None:
         return list(_loops(scene, quick=quick))
@@ -115,7 +115,7 @@ def settings_of(scene: Scene, *, quick: bool) -> list[Setting]:
 
 
 def finest(scene: Scene, *, quick: bool) -> Changes:
-    """Return the changes for the finest grid; empty for a scene without a grid.
+    """Return the changes that give a scene the finest grid; empty if it has no grid.
 
     The finest grid is the reference of haptic loops, and of models without an exact geometry.
     """
@@ -123,7 +123,7 @@ def finest(scene: Scene, *, quick: bool) -> Changes:
 
 
 def shares(scene: Scene, *, quick: bool) -> tuple[float, ...]:
-    """Return the lengths of the three grids divided by the scene's lengths, coarse to fine.
+    """Return the edge lengths of three grids relative to the scene, coarsest first.
 
     The result is empty for a scene without a grid.
     """
@@ -133,9 +133,9 @@ def shares(scene: Scene, *, quick: bool) -> tuple[float, ...]:
 
 
 def grids(scene: Scene, *, quick: bool) -> list[Changes]:
-    """Return the changes for each of the three grids, coarse to fine.
+    """Return the changes that give a scene each of three grids, coarsest first.
 
-    They also select the most accurate numerical method.
+    The changes also select the most accurate numerical method.
     """
     best: dict[str, object] = {"organ.order": 2, "organ.path": "condensed"}
     if isinstance(scene.tool, Tool):
@@ -144,9 +144,9 @@ def grids(scene: Scene, *, quick: bool) -> list[Changes]:
 
 
 def refined(scene: Scene, share: float) -> dict[str, object]:
-    """Return the changes that multiply all lengths of the scene's grid by `share`.
+    """Return the changes that multiply all edge lengths of the scene's grid by `share`.
 
-    The changes also switch off fields that do not influence the force.
+    The changes also switch off computed fields, such as stress, that do not influence the force.
     """
     lengths: dict[str, float] = {}
     if isinstance(scene.tool, Tool):
@@ -165,10 +165,10 @@ def refined(scene: Scene, share: float) -> dict[str, object]:
 
 
 def placed(scene: Scene) -> list[Scene]:
-    """Return the scene with its path at the three positions of `PLACES` relative to the grid.
+    """Return the scene with its tool path at each of the three positions in `PLACES`.
 
-    A scene without a grid, with a device or without a path is returned unchanged, as the only
-    entry.
+    For a scene without a grid, with a device or without a path, the list contains only the
+    unchanged scene.
     """
     if scene.device is not None or not isinstance(scene.motion, PathMotion):
         return [scene]
@@ -188,7 +188,7 @@ def placed(scene: Scene) -> list[Scene]:
 def moved(scene: Scene, x_mm: float, y_mm: float, *, depth: float = 1.0) -> Scene:
     """Return the scene with a path that is shifted along x and y.
 
-    Below z = 0, the depth of the path is multiplied by `depth`.
+    The depth of the path below z = 0 is multiplied by `depth`.
     """
     assert isinstance(scene.motion, PathMotion)
     points = np.array(scene.motion.points_mm)
@@ -200,7 +200,7 @@ def moved(scene: Scene, x_mm: float, y_mm: float, *, depth: float = 1.0) -> Scen
 
 
 def edge_mm(scene: Scene) -> float:
-    """Return the edge length of the tetrahedra of an organ under the probe [mm]."""
+    """Return the edge length [mm] of an organ's tetrahedra under the probe."""
     assert isinstance(scene.anatomy, SoftAnatomy)
     assert isinstance(scene.tool, Probe)
     # a quarter of the probe's size is the default of a scene
@@ -208,7 +208,7 @@ def edge_mm(scene: Scene) -> float:
 
 
 def force_only(scene: Scene) -> dict[str, object]:
-    """Return the changes to a scene that switch off fields without influence on the force."""
+    """Return the changes that switch off computed fields, which do not influence the force."""
     if isinstance(scene.anatomy, SoftAnatomy):
         return {"organ.interval_ms": 0.0} if scene.organ.interval_ms else {}
     if isinstance(scene.anatomy, LayersAnatomy | IncisedAnatomy):
@@ -226,9 +226,9 @@ def _shell_mm(tool: Tool) -> float:
 
 
 def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
-    """Yield settings of a cutting scene.
+    """Yield numerical settings of a scene in which a tool cuts voxels.
 
-    They vary voxel spacing, removal method, cutting elements, cutting law and stress field.
+    The settings vary voxel spacing, removal method, cutting elements, cutting law and stress field.
     """
     plain = force_only(scene)
     base = scene.voxels.spacing_mm
@@ -276,9 +276,9 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
 def simpler(scene: Scene, tool: Tool) -> dict[str, Changes]:
     """Return the changes for simpler cutting laws and a simpler drill, by name.
 
-    Each entry leaves out one refinement of the scene: the size effect, the minimum chip thickness
-    ("linear law"), or the web of the drill. The linear law leaves out the size effect too, because
-    this effect grows without bound if there is no minimum chip thickness.
+    Each entry omits one part of the model: the size effect, the minimum chip thickness ("linear
+    law"), or the web of the drill. The linear law omits the size effect too. Without a minimum chip
+    thickness, the size effect would grow without bound.
     """
     found: dict[str, Changes] = {}
     if _of_law(scene, "minimum_chip_um") > 0.0:
@@ -292,7 +292,7 @@ def simpler(scene: Scene, tool: Tool) -> dict[str, Changes]:
 
 
 def _of_law(scene: Scene, name: str) -> float:
-    """Return a constant of the cutting law of a scene: the largest value over its layers."""
+    """Return the largest value, over the layers of a scene, of a constant of the cutting law."""
     stated = getattr(scene.cutting, name)
     if stated is not None:
         return float(stated)
@@ -304,7 +304,7 @@ def _of_law(scene: Scene, name: str) -> float:
 
 
 def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
-    """Yield settings of an organ: order and edge of tetrahedra, and compliance method."""
+    """Yield numerical settings of an organ: order and edge of tetrahedra, compliance method."""
     plain = force_only(scene)
     base = edge_mm(scene)
     # coarse to fine; linear tetrahedra have fewer nodes at the same edge, so finer ones are tried
@@ -332,7 +332,7 @@ def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
 
 
 def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:
-    """Yield settings of a haptic loop: renderer, predictor and rate of the tissue model."""
+    """Yield settings of a haptic loop: renderer, predictor and update rate of the tissue."""
     plain = force_only(scene)
     missing = untrained(scene)
     for law in RENDERERS:
@@ -359,7 +359,7 @@ PACKAGES = ("meshes", "kernels", "tissue")
 
 
 def scene_text(scene: Scene) -> str:
-    """Return, as text, the values of a scene that determine its results.
+    """Return a text with the values of a scene that determine its results.
 
     Description and fidelity are left out.
     """
@@ -368,7 +368,7 @@ def scene_text(scene: Scene) -> str:
 
 
 def machine() -> str:
-    """Return processor architecture, cores and library versions, as a key of measured times."""
+    """Return a text that identifies this machine: processor, cores and library versions."""
     import psutil
 
     return (
@@ -381,9 +381,8 @@ def machine() -> str:
 def sources() -> str:
     """Return a checksum of all code and constants.
 
-    The time of a tick and the error may change with any part of the code and with any constant.
-    Registered parts from other packages are included by their names and by the code of their
-    packages.
+    The checksum identifies stored measurements, which may change with any part of the code and with
+    any constant. Plug-ins that other packages register are included.
     """
     # 8 bytes: only compared with checksums of other versions of the code
     digest = blake2b(code_sha256().encode(), digest_size=8)
@@ -395,7 +394,7 @@ def sources() -> str:
 
 
 def _code_of(part: Any) -> str:
-    """Return a text that changes if the constants or the code of a registered part change."""
+    """Return a text that changes if the constants or the code of a plug-in change."""
     if isinstance(part, Mapping):
         return " ".join(f"{name} {_code_of(inner)}" for name, inner in part.items())
     if hasattr(part, "__dataclass_fields__") or isinstance(part, GuardedMaker):
@@ -411,7 +410,7 @@ def _code_of(part: Any) -> str:
 def _package_sum(name: str) -> str:
     """Return a checksum of all Python files of a package, or of the file of a module.
 
-    If the code has no file, as in an interactive session, every call returns another result.
+    If the code has no file, as in an interactive session, every call returns a different checksum.
     """
     file = getattr(sys.modules.get(name), "__file__", None)
     # code from an interactive session cannot be compared: its results are never reused

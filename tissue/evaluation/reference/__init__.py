@@ -1,1 +1,1 @@
-"""Reference cutting force on the exact geometry, without the voxels and elements of the engine."""
+"""Reference cutting force on the exact geometry, without voxels and surface elements."""

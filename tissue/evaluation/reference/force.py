@@ -2,26 +2,26 @@
 
 The quadrature uses no voxels, and no surface elements that are fixed to the tool.
 
-The surface is the half section r(s), z(s), rotated about the axis by the angle phi. s is the length
-along the half section. The tool has N cutting edges and spins at omega. Averaged over a revolution,
-a part of the surface contains the length ``N ds dphi / (2 pi)`` = ``N dA / (2 pi r)`` of cutting
-edge. Let v be the velocity of a surface point without the spin, and n the outward normal. The chip
-thickness is h = max(0, v . n) 2 pi / (N omega), and the force on the part is::
+The surface of the cutter is the half section r(s), z(s), rotated about the tool axis by the angle
+phi. s is the length along the half section. The tool has N cutting edges and spins at omega.
+Averaged over a revolution, the surface element ds dphi contains a cutting edge of length ``N ds
+dphi / (2 pi)``. For the area dA of the element, this is ``N dA / (2 pi r)``. Let v be the velocity
+of a surface point without the spin, and n the outward normal. The chip thickness is h = max(0, v .
+n) 2 pi / (N omega), and the force on the surface element is::
 
     dF = - (N / 2 pi) [(K_tc c + K_te e) t + (K_rc c + K_re e) n + (K_ac c + K_ae e) a] ds dphi
 
-c is the effective chip thickness, and e is the fraction of the edge force that acts. Both are
-functions of h, see `tissue.materials.constants.effective_chip`. t is the direction in which the
-spin moves the point, and a is the axis from tip to shank. Every K is a cutting coefficient of the
-layer at the point, multiplied by (density / reference density) ** exponent. Only engaged points
+c is the effective chip thickness, and e is a factor on the edge force. c and e are functions of h,
+see `tissue.materials.constants.effective_chip`. t is the direction in which the spin moves the
+point, and a is the axis from tip to shank. Every K is a cutting coefficient of the layer at the
+surface point, multiplied by (density / reference density) ** exponent. Only engaged points
 contribute. A point is engaged if it advances (v . n > 0), lies in the solid (signed distance below
 0), and lies outside the volume swept earlier by the tool.
 
-The surface is divided into cells in (s, phi). Cells that no boundary crosses are integrated with
-two by two Gauss points. Cells that a boundary may cross are divided into four, down to a finest
-size. Cells of the finest size are integrated with one point each. The distance functions are
-1-Lipschitz, so no boundary of the solid or of an earlier cut is missed. Boundaries between layers
-are detected at the corners of the cells.
+The surface is divided into cells in (s, phi). A cell is integrated with two by two Gauss points if
+no boundary of the engaged region crosses it. Other cells are divided into four, down to a finest
+size, at which one point per cell is used. The distance functions are 1-Lipschitz, so no boundary is
+missed. Boundaries between layers are detected at the corners of the cells.
 """
 
 from dataclasses import dataclass
@@ -38,18 +38,18 @@ from tissue.evaluation.reference.path import ToolPath, convex_parts
 from tissue.materials.constants import CuttingCoefficients, effective_chip
 
 GAUSS = 0.5 / 3.0**0.5
-"""Distance of the two Gauss points from the middle of an interval of length 1."""
+"""Distance of the two Gauss points from the middle of an interval with length 1."""
 TOUCHING_M = 1e-11
-"""Largest distance from an earlier cut at which the tool's surface counts as lying on the cut [m].
+"""Distance [m] from an earlier cut up to which a point counts as lying on the cut.
 
-Points of the surface that lie on the cut are not engaged.
+Points of the tool's surface that lie on an earlier cut are not engaged.
 """
 CORNERS = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
 
 
 @dataclass(frozen=True)
 class Solid:
-    """Anatomy that a tool cuts.
+    """Body that a tool cuts: anatomy and cutting coefficients as functions of position.
 
     Attributes
     ----------
@@ -66,9 +66,9 @@ class Solid:
     minus: Shape | None = None
 
     def distance(self, points: Array) -> Array:
-        """Return a 1-Lipschitz bound of the signed distance [m], shape (n,), negative inside.
+        """Return a bound of the signed distance from the solid [m], shape (n,), negative inside.
 
-        The points [m] have shape (n, 3) and are in the world frame.
+        The bound is 1-Lipschitz. The points [m], shape (n, 3), are in the world frame.
         """
         distance = np.asarray(self.anatomy.shape.distance(points), dtype=np.float64)
         return (
@@ -86,9 +86,9 @@ class Solid:
         """Return the cutting coefficients and the constants of the size effect, shape (9, n).
 
         The rows are the tangential, radial and axial chip coefficients [Pa] and the three edge
-        coefficients [N/m]. The last rows are the exponent of the size effect, and the minimum and
-        the reference chip thickness [m]. The first six rows are those of the layer at the point,
-        multiplied by (density / reference density) ** exponent of this layer.
+        coefficients [N/m]. Rows 6 to 8 are the exponent of the size effect, the minimum chip
+        thickness and the reference chip thickness [m]. The coefficients are multiplied by (density
+        / reference density) ** exponent, with the exponent of the layer at the point.
         """
         layer, density = self.anatomy.classify(points, -self.anatomy.shape.distance(points))
         names = CuttingCoefficients.CHIP + CuttingCoefficients.EDGE
@@ -111,22 +111,22 @@ class Resolution:
     Attributes
     ----------
     coarsest
-        Number of cells per length of the tool's radius, before any cell is divided.
+        Number of cells along a length of one tool radius, before cells are divided.
     divisions
-        Largest number of successive divisions of a cell into four.
+        Number of times that a cell can be divided into four.
     """
 
     coarsest: int = 12
     divisions: int = 4
 
     def finer(self) -> "Resolution":
-        """Return twice the resolution: cells of half the size at every division."""
+        """Return a resolution with cells of half the size."""
         return Resolution(2 * self.coarsest, self.divisions)
 
 
 @dataclass(frozen=True)
 class _Cells:
-    """Cells on one piece of the surface: middle and size in (s [m], phi), each of shape (n, 2)."""
+    """Cells on the tool's surface: middle and size in (s [m], phi), each of shape (n, 2)."""
 
     middle: Array
     size: Array
@@ -212,7 +212,7 @@ class _AtTick:
         return _Cells((numbers + 0.5) * size, np.broadcast_to(size, (len(numbers), 2)))
 
     def _sorted(self, piece: Piece, cells: _Cells) -> tuple[_Cells, Flags]:
-        """Return the cells that may be engaged, and flags for cells that no boundary crosses."""
+        """Return the cells that may be engaged, and a flag for cells that are entirely engaged."""
         points, normals, _ = _surface(piece, cells.middle)
         advance = self._advance(points, normals)
         widest = np.hypot(points[:, 0], points[:, 1]) + 0.5 * cells.size[:, 0]
@@ -259,8 +259,8 @@ class _AtTick:
 
         Each cell is integrated at the points of `offsets`, with equal weights.
 
-        If `tested` is true, points that are not engaged contribute zero. Otherwise, all points
-        count as engaged.
+        If `tested` is true, points that are not engaged contribute no force. Otherwise, all points
+        are assumed to be engaged.
         """
         points, normals, around = _surface(piece, cells.points(offsets))
         weights = np.repeat(cells.size.prod(axis=1) / len(offsets), len(offsets))

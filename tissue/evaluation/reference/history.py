@@ -1,4 +1,4 @@
-"""Reference force of a whole run, and the error of a grid by its convergence.
+"""Reference cutting force of a whole run, and grid-convergence index of simulated forces.
 
 The reference force is evaluated at selected ticks and interpolated between them. It is stored on
 disk.
@@ -27,26 +27,25 @@ from tissue.simulation.trace import Table
 COARSEST_TICKS = 32
 """Largest number of ticks between two evaluations of the reference force.
 
-The value is below the 50 ms over which the reported means are computed.
+The value is below 50 ms, because means of the force over 50 ms are reported.
 """
 INTERPOLATION = 2e-3
-"""Largest allowed error of the interpolation between two evaluations, relative to the mean force.
+"""Largest interpolation error between two force evaluations, relative to the mean force.
 
-If the error is larger, the force is evaluated in the middle of both halves too. With this value,
-the uncertainty of the built-in scenes, including that of the interpolation, is 0.01 to 0.03 %
+Intervals with a larger error are halved. With this value, the uncertainty of the reference force in
+the built-in scenes is 0.01 to 0.03 %, including the interpolation error
 (``tests/bench/bench_reference.py``).
 """
 JUMP = 0.05
-"""Relative change of the velocity from tick to tick above which the force may jump too.
+"""Relative change of velocity from tick to tick above which the force may be discontinuous.
 
-Along a straight leg of a path, the velocity changes by less than this value from tick to tick. At
-corners, it changes by more.
+Such changes occur only at corners of the tool path.
 """
 CHECKED = 32
-"""Number of ticks at which the force is evaluated again with twice the resolution.
+"""Number of ticks at which the reference force is computed again with twice the resolution.
 
-These evaluations determine the uncertainty of the reference. Each takes four times as long as the
-first evaluation at the tick.
+The differences give the uncertainty of the reference force. Twice the resolution takes four times
+as long.
 """
 WINDOW_TICKS = 50
 """Number of ticks in a mean over 50 ms."""
@@ -62,9 +61,9 @@ class ReferenceForce:
         Force on the tool [N] and torque about its tip [N m] at every tick, in the world frame,
         shape (n, 6).
     uncertainty
-        Relative error of the reference force. The error is the difference from an evaluation with
-        twice the resolution, and includes the error of the interpolation. Error and force are root
-        mean squares over ticks spread over the contact.
+        Relative error of the reference force. The error is the difference from a computation with
+        twice the resolution, and includes the interpolation error. Error and force are root mean
+        squares over a sample of the ticks in contact.
     """
 
     wrench: Array
@@ -108,9 +107,9 @@ def solid_of_scene(scene: Scene) -> Solid:
 def reference_force(
     scene: Scene, trace: Table, *, resolution: Resolution | None = None
 ) -> ReferenceForce:
-    """Compute the force on the tool by the exact geometry, for the motion of a run.
+    """Compute the reference force on the exact geometry for the motion in a trace.
 
-    The force is computed only once for each motion, anatomy and tool, and then read from disk.
+    The result is stored on disk for each motion, anatomy and tool.
 
     Raises
     ------
@@ -137,13 +136,13 @@ def force_on_path(
     kept_by: tuple[object, ...] = (),
     resolution: Resolution | None = None,
 ) -> ReferenceForce:
-    """Compute the force on the tool by the exact geometry along a path.
+    """Compute the reference force on the exact geometry along a tool path.
 
     Parameters
     ----------
     kept_by
-        Values that identify cutter and solid. Together with the path, they are the key of the
-        result in the cache. If the tuple is empty, nothing is stored.
+        Values that identify cutter and solid in the cache on disk. If the tuple is empty, the
+        result is not stored.
     """
     fine = resolution or Resolution()
 
@@ -184,9 +183,9 @@ def force_on_path(
 def _over_ticks(evaluate: Callable[[int], Array], path: ToolPath) -> Array:
     """Compute force and torque at every tick, shape (n, 6), from few evaluations.
 
-    The path is divided at jumps of the velocity. Every part is halved until the linear
-    interpolation between its ends agrees with the evaluation at its middle. A part in which contact
-    begins or ends is halved down to single ticks.
+    The path is divided into parts where the velocity jumps. A part is halved until the value at its
+    middle agrees with linear interpolation between its ends. If contact begins or ends in a part,
+    it is halved down to single ticks.
     """
     wrench = np.zeros((len(path.tips_m), 6))
     waiting: list[tuple[int, int]] = []
@@ -219,7 +218,7 @@ def _over_ticks(evaluate: Callable[[int], Array], path: ToolPath) -> Array:
 def _stretches(path: ToolPath) -> list[tuple[int, int]]:
     """Divide a path at jumps of the velocity; return the first and the last tick of each part.
 
-    The force does not jump within these parts.
+    Within a part, the force is continuous.
     """
     motion = np.hstack([path.velocities, path.reach_m * path.turnings])
     speed = np.linalg.norm(motion, axis=1)
@@ -239,31 +238,32 @@ def _fill(wrench: Array, first: int, last: int) -> None:
 def means_over_50_ms(values: Array) -> Array:
     """Return the means over successive intervals of 50 ms, shape (n // 50, 3).
 
-    The values have shape (n, 3), one row per tick of 1 ms. A shorter run has one mean.
+    The values have shape (n, 3), one row per tick of 1 ms. If n is below 50, one mean is returned.
     """
     count = max(len(values) // WINDOW_TICKS, 1)
     return np.array([part.mean(axis=0) for part in np.split(values[: count * WINDOW_TICKS], count)])
 
 
 FORMAL_ORDER = 2.0
-"""Formal order of convergence of the force. A grid-convergence index uses no higher order."""
+"""Formal order of convergence of the force: upper limit of the order in a convergence index."""
 ASYMPTOTIC = 0.5, 2.2
-"""Lowest and highest observed order that counts as asymptotic.
+"""Range of observed orders of convergence that counts as asymptotic.
 
-The lowest is 0.5 (Eça and Hoekstra 2014, J. Comput. Phys. 262, 104-130). The highest is 10 % above
-the formal order (Oberkampf and Roy 2010, Verification and Validation in Scientific Computing).
+The lower end is 0.5 (Eça and Hoekstra 2014, J. Comput. Phys. 262, 104-130). The upper end is 10 %
+above the formal order (Oberkampf and Roy 2010, Verification and Validation in Scientific
+Computing).
 """
 SAFETY = 1.25
 SAFETY_OUTSIDE = 3.0
 """Safety factor of a grid-convergence index (Roache) outside the asymptotic range.
 
-`SAFETY` is the factor within this range.
+`SAFETY` is the factor within the asymptotic range.
 """
 STEEPEST = 30.0
-"""Largest absolute value of an observed order. Larger orders count as infinite.
+"""Largest absolute value of an observed order of convergence; larger orders are infinite.
 
-At this order, with successive spacings in the ratio 1.2, the two coarser forces differ by 240 times
-the difference of the two finer forces.
+For spacings in the ratio 1.2, an order of 30 means: the forces on the coarse and middle grids
+differ 240 times as much as the forces on the middle and fine grids.
 """
 
 
@@ -303,8 +303,8 @@ def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> Order:
     forces_N
         Force at every tick on each grid [N], each shape (n, 3).
     spacings
-        Spacings of the three grids, all different, in any unit. If a grid has further lengths, such
-        as the distance between cutting elements, these lengths must be proportional to its spacing.
+        Spacings of the three grids, all different, in any unit. All other numerical lengths, such
+        as the distance between cutting elements, must be proportional to the spacing.
     """
     order = np.argsort(spacings)[::-1]
     h = [float(spacings[k]) for k in order]
@@ -323,8 +323,8 @@ def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> Order:
 def observed_order(coarse: float, fine: float, spacings: Sequence[float]) -> float:
     """Return the order p of an error C h^p, from the differences of forces on three grids.
 
-    ``coarse`` is the difference between the spacings h3 and h2, and ``fine`` the difference between
-    h2 and h1.
+    ``coarse`` is the difference between the forces on the grids with the spacings h3 and h2.
+    ``fine`` is the difference between the forces on the grids with h2 and h1.
 
     Parameters
     ----------

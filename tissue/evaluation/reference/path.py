@@ -16,24 +16,24 @@ from tissue.cutters.profile import Arc, Line, Piece, Profile
 
 GOLDEN = 0.6180339887498949
 RESOLUTION_M = 1e-12
-"""Precision with which the nearest position on a path is found [m]."""
+"""Precision [m] of the search for the nearest position on a path."""
 STRAIGHT_M = 5e-9
-"""Largest deviation from a straight line within a leg [m].
+"""Largest deviation [m] from a straight line in a straight part (leg) of a tool path.
 
-The deviation is that of the path of a point, as seen in the frame of the tool.
+The line is the path of a fixed point in the frame of the tool.
 
-This deviation is far smaller than a chip thickness, which is a tenth of a micrometre or more.
+The value is far below a chip thickness, which is 0.1 um or more.
 """
 
 
 @dataclass(frozen=True)
 class ConvexPart:
-    """Convex body of revolution about z, described by the pieces of its half section.
+    """Convex body of revolution about the z axis, described by its half section.
 
     Attributes
     ----------
     pieces
-        Pieces of the half section, from the lowest point on the axis to the highest.
+        Arcs and segments of the half section, from the lowest point on the axis to the highest.
     ball
         True if the body is a ball.
     """
@@ -43,7 +43,7 @@ class ConvexPart:
 
     @property
     def bounding_ball(self) -> tuple[float, float]:
-        """Height of the centre, and radius, of a ball that contains the body [m]."""
+        """Centre height [m] and radius [m] of a ball that contains the body."""
         # 64 parts of each piece
         share = np.linspace(0.0, 1.0, 65)
         outline = np.concatenate([piece.at(share)[0] for piece in self.pieces])
@@ -130,10 +130,10 @@ def convex_parts(profile: Profile) -> tuple[ConvexPart, ...]:
 
 
 def _seen(piece: Piece, points: Array) -> tuple[Array, Array]:
-    """Return the distance of points from a piece [m], and a component that shows the side [m].
+    """Return the distance [m] of points from a piece, and a signed component [m].
 
-    The component belongs to the vector from the nearest point of the piece to the given point. It
-    is the component along the outward normal at the nearest point, and is positive outside.
+    The vector from the nearest point of the piece to the given point has a component along the
+    outward normal. This component is positive outside the body.
     """
     if isinstance(piece, Arc):
         out = points - np.asarray(piece.centre)
@@ -206,10 +206,10 @@ class ToolPath:
         """Return the signed distance [m] from the volume that the tool has swept before a tick.
 
         The distance is negative inside this volume, and infinite if nothing was swept. The points,
-        shape (n, 3), are in the world frame. On the leg to which the tick belongs, the first part
-        of the tool is ignored. A point on a convex body that advances along a straight path was
-        never inside the body before. A result that is larger than ``within``, shape (n,) [m], is
-        only a lower bound of the distance.
+        shape (n, 3), are in the world frame. In the leg to which the tick belongs, the first entry
+        of `parts` is ignored: no surface point of a convex body that advances on a straight path
+        was inside the body earlier in this leg. A result that is larger than ``within``, shape (n,)
+        [m], is only a lower bound of the distance.
         """
         distance = np.full(len(points), np.inf)
         for start, end in self.legs[self.legs[:, 0] < tick]:
@@ -223,7 +223,7 @@ class ToolPath:
         return distance
 
     def _found_legs(self) -> NDArray[np.intp]:
-        """Join successive ticks to legs, see `legs`."""
+        """Join successive ticks to straight legs, see `ToolPath.legs`."""
         last = len(self.tips_m) - 1
         legs: list[tuple[int, int]] = []
         start = 0
@@ -244,7 +244,7 @@ class ToolPath:
     def _is_straight(self, start: int, end: int) -> bool:
         """Return whether points near the tool move straight and without reversal between two ticks.
 
-        The motion of the points is that in the tool's frame.
+        The motion is observed in the tool's frame.
         """
         # the motion of all points is an affine combination of that of four points that are not in
         # one plane; the fifth is the tip

@@ -1,1 +1,1 @@
-"""Statistics of a study: metrics of a trial, table of trials, hypothesis tests and intervals."""
+"""Statistics of a user study: metrics, table of trials, hypothesis tests and intervals."""

@@ -1,6 +1,6 @@
-"""Comparison of methods and groups by sign-flip tests.
+"""Comparison of methods and user groups in a study by sign-flip tests.
 
-The tests of the paper are reported as alternatives.
+The tests that the published study used are reported in addition.
 """
 
 from collections.abc import Sequence
@@ -36,23 +36,23 @@ from tissue.evaluation.statistics.strata import (
 from tissue.evaluation.statistics.trials import Cells, TrialTable
 
 ROUNDING = 1e-12
-"""Largest variation among users, divided by the largest value, that counts as rounding error."""
+"""Relative variation among users up to which a metric counts as constant (rounding)."""
 
 
 @dataclass(frozen=True)
 class MetricComparison:
-    """Comparisons of methods and groups by one metric on one task.
+    """Tests of methods and user groups by one metric on one task.
 
     Attributes
     ----------
     metric, task
         Names of the compared metric and of the task.
     tests
-        Tests of the method, of the group, and of their interaction. Tests for which the table has
-        too few methods or groups are omitted.
+        Tests of the method, of the group, and of their interaction. A test is omitted if there is
+        only one method or only one group.
     pairs
-        Tests of all pairs of methods, then of all pairs of groups. Each test has Tukey's test as
-        its alternative.
+        Tests of all pairs of methods, then of all pairs of groups. Each test has the attribute
+        `alternatives`, which contains Tukey's test.
     sizes
         Cohen's d of every pair of methods (from differences within users) and of every pair of
         groups.
@@ -126,8 +126,9 @@ def across_tasks(
 ) -> list[HypothesisTest]:
     """Test a metric over all tasks by sign flips and by a linear mixed model.
 
-    Each test by sign flips has the test of the mixed model as an alternative. If the error term of
-    a question has no variation, the test of the mixed model takes its place, with a note.
+    Each test by sign flips has the test of the mixed model as an alternative. A sign-flip test is
+    impossible if its error term has no variation. The test of the mixed model is then returned
+    instead, with a note.
     """
     mixed = mixed_model(table, metric)
     within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
@@ -156,16 +157,16 @@ def stratum_test(
     cells
         Means of a metric over the trials of each user.
     within
-        Factors within users that belong to the effect, as indices into ``cells.factors``.
+        Indices into ``cells.factors``: the factors that belong to the effect.
     between
-        True if the effect involves the group.
+        True for an effect of the group, or an interaction with the group.
     rng
         Random generator of the sign flips.
 
     Returns
     -------
     tuple of HypothesisTest and SignTest
-        Test for the report, and the results of the comparisons of pairs.
+        The test, and the results of the comparisons of all pairs.
     """
     values = cells.values
     groups = cells.groups
@@ -207,7 +208,7 @@ def stratum_test(
 
 
 def _symmetry(scores: Array, groups: Ints) -> tuple[Assumption, ...]:
-    """Check the symmetry that sign flips assume, if there are at least eight users."""
+    """Check that scores are symmetric, as sign flips assume; needs at least eight users."""
     # D'Agostino's test needs eight values
     if len(scores) < 8:
         return ()
@@ -219,8 +220,8 @@ def _f_tests(
 ) -> tuple[HypothesisTest, ...]:
     """Return the F test of an effect, and the F test corrected for sphericity.
 
-    `exact` is the F test of the effect. `scores` are the scores of users on orthonormal contrasts,
-    shape (users, contrasts).
+    `exact` contains the F test. `scores`, shape (users, contrasts), are the values of each user for
+    orthonormal contrasts.
     """
     statistic = float(exact.F)
     residuals = scores - group_means(scores, groups)[groups]
@@ -252,20 +253,20 @@ def manova(
 ) -> HypothesisTest:
     """Compare groups or methods on several metrics at once, by sign flips and by MANOVA.
 
-    The analysis has one row per user. Groups are compared by the means of users over their trials,
-    and methods by the differences between methods within users. The rows are therefore independent,
-    although every user has trials under every method. Each sign flip changes the signs of all
-    metrics of a user together. The statistic is the largest t over all metrics and pairs.
+    The analysis has one row per user. For groups, the row is the user's mean over all trials. For
+    methods, the row contains the user's differences between methods. Rows of different users are
+    independent. A sign flip changes the signs of a whole row. The statistic is the largest t over
+    all metrics and pairs.
 
     Parameters
     ----------
     table
-        Trials of one task or of several. With several tasks, the means of a user are taken over all
+        Trials of one task or of several. With several tasks, the mean of a user is taken over all
         tasks.
     metrics
         Two metrics or more.
     factor
-        Compared factor, "group" or "method".
+        Factor to test, "group" or "method".
     rng
         Random generator of the sign flips.
 
@@ -300,7 +301,7 @@ def manova(
 
 
 def _pairs(signs: SignTest, others: Sequence[HypothesisTest]) -> list[HypothesisTest]:
-    """Return the sign-flip test of each pair, with another test of the pair as an alternative."""
+    """Return sign-flip tests of all pairs; each contains another test as an alternative."""
     found = []
     for index, other in enumerate(others):
         difference = signs.differences[index]
@@ -322,17 +323,17 @@ def tukey_tests(
     Parameters
     ----------
     values, groups, between
-        As in :func:`tissue.evaluation.statistics.strata.tukey`, for one population.
+        As in :func:`tissue.evaluation.statistics.strata.tukey`, without an axis for populations.
     names
         Names of the groups, or of the levels.
     metric
-        Name of the metric, for the question of the tests.
+        Name of the metric, for the texts of the tests.
 
     Returns
     -------
     list of HypothesisTest
-        Tests in the order of pairs (0, 1), (0, 2), ... The effects are differences of means with
-        simultaneous intervals.
+        Tests of the pairs (0, 1), (0, 2), ... The effect of a test is a difference of means with
+        its simultaneous interval.
     """
     differences, errors, degrees = tukey(values, groups, between=between)
     # The quantile takes 0.3 s.
@@ -353,5 +354,5 @@ def tukey_tests(
 
 
 def corrected(p_values: Sequence[float]) -> list[float]:
-    """Multiply the p values of a family of tests by their number (Bonferroni), up to at most 1."""
+    """Return Bonferroni-corrected p values: multiplied by their number, at most 1."""
     return [min(1.0, len(p_values) * p) for p in p_values]

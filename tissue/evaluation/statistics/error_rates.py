@@ -1,4 +1,4 @@
-"""Rejection rates of the tests of a study, with and without an effect."""
+"""Error rates of hypothesis tests in a study, estimated by simulated populations."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -25,12 +25,12 @@ POPULATIONS = 2_000
 With this number, a rate of 5 % has a standard error of 0.5 %.
 """
 QUESTIONS = {"method": ((0,), False), "group": ((), True), "group x method": ((0,), True)}
-"""For each question, the indices of the factors within users, and True if groups are compared."""
+"""For each question: indices of the tested factors within users; True if groups are compared."""
 
 
 @dataclass(frozen=True)
 class Power:
-    """Rejection rates of one test.
+    """Estimated type I error rate and power of one test.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Power:
 
     @property
     def sentence(self) -> str:
-        """False alarms and power in words."""
+        """Type I error rate and power in words."""
         return (
             f"{self.question} by {self.test}: with {self.users_per_group} users a group, false "
             f"alarms {_percent(self.false_alarms)}, "
@@ -68,28 +68,28 @@ class Power:
 def redrawn_power(
     cells: Sequence[Cells], *, rng: np.random.Generator, populations: int = POPULATIONS
 ) -> tuple[Power, ...]:
-    """Estimate the error rates of tests, with users that are drawn from the data of a study.
+    """Estimate error rates of tests by bootstrap: users are drawn from the data of a study.
 
-    The data may have any distribution. The null hypothesis is made true by subtracting the mean of
-    each group and method. Users are drawn from a smoothed distribution of the residuals (Silverman
-    and Young 1987). A drawn user is a random user of the group plus normal noise with a covariance
-    proportional to that of the group. Without the noise, the same ten users would be repeated so
-    often that sign flips seem to give too many false alarms.
+    The data may have any distribution. For the null hypothesis, the mean of each group and method
+    is subtracted. Users are drawn from a smoothed distribution of the residuals (Silverman and
+    Young 1987). A drawn user is a random user of the group plus normal noise, whose covariance is
+    proportional to the covariance of the group. Without the noise, the estimated rate of false
+    alarms would be too high, because the same few users are drawn repeatedly.
 
-    In 25 normal studies with a true rate of 5 %, the mean estimate for sign flips is 5.1 to 5.4 %,
-    depending on the question (3.7 to 6.4 % in single studies). Without the noise, the mean estimate
-    is 5.6 to 7.8 % (up to 10.8 % in single studies). The estimate for the F test is too high,
-    because the covariance of ten users is never exactly spherical. Its mean is 5.5 % for groups,
-    5.9 % for methods and 7.1 % for their interaction (up to 8.4 %). ``python
-    tests/bench/bench_null.py --only redrawn`` measures these rates.
+    The estimate was tested in 25 simulated studies with normal data and a true rate of false alarms
+    of 5 %. For sign flips, the mean estimate is 5.1 to 5.4 %, depending on the question (3.7 to 6.4
+    % in single studies). Without the noise, the mean estimate is 5.6 to 7.8 % (up to 10.8 % in
+    single studies). The estimate for the F test is too high, because the covariance of ten users is
+    never exactly spherical: 5.5 % for groups, 5.9 % for methods and 7.1 % for their interaction on
+    average (up to 8.4 %). ``python tests/bench/bench_null.py --only redrawn`` measures these rates.
 
-    The power is the power for an effect of the size that the study measured. The measured size
-    contains a random error, so the estimated power is too high if the true effect is zero or small.
+    The returned power is the power for an effect of the measured size. The power is too high if the
+    true effect is zero or small, because the measured size contains a random error.
 
     Parameters
     ----------
     cells
-        Means of each metric at the levels of one factor within users. Several metrics are tested
+        Cell means of each metric, with one factor within users. Several metrics are tested
         together.
     rng
         Random generator for users and sign flips.
@@ -116,7 +116,7 @@ def _drawn(residuals: Array, groups: Ints, populations: int, rng: np.random.Gene
     Parameters
     ----------
     residuals
-        Residuals about the means of groups, shape (users, columns), sorted by group.
+        Values minus group means, shape (users, columns), sorted by group.
     groups
         Group of every user, shape (users,).
     populations
@@ -164,8 +164,8 @@ def rejection_rates(
     rng
         Random generator of the sign flips.
     questions
-        Questions to answer. Questions that the design cannot answer are skipped. For several
-        metrics, there is no test of group x method.
+        Keys of `QUESTIONS`. A question that the design cannot answer, such as "group" for a single
+        group, is skipped. For several metrics, "group x method" is skipped.
     """
     found: list[Power] = []
     metrics, _, methods = null.shape[1:]
@@ -189,10 +189,10 @@ def rejection_rates(
 def _rejections(
     values: Array, groups: Ints, question: str, rng: np.random.Generator
 ) -> dict[str, Flags]:
-    """Return True for populations in which a test rejects, by name of the test.
+    """For each test, keyed by name, return a flag for each population in which it rejects.
 
-    The values have the shape of `rejection_rates`. A multivariate test is left out if there are too
-    few users for it, or a metric is a linear combination of others.
+    The values have the shape (populations, metrics, users, methods). A multivariate test is left
+    out if there are too few users for it, or a metric is a linear combination of others.
     """
     chosen, between = QUESTIONS[question]
     sizes = values.shape[-1:]
@@ -220,7 +220,7 @@ def _rejections(
 
 @lru_cache(maxsize=64)
 def _critical_range(levels: int, degrees: int) -> float:
-    """Return the critical value of the studentised range at the level 5 %.
+    """Return the critical value of the studentised range for a significance level of 5 %.
 
     The result is cached, because the computation takes 0.3 s.
     """
@@ -228,7 +228,7 @@ def _critical_range(levels: int, degrees: int) -> float:
 
 
 def _joined(scores: Array) -> Array:
-    """Join the scores of all metrics of a user into one row.
+    """Join the scores of each user for all metrics into one row.
 
     The shape (..., metrics, users, scores) becomes (..., users, metrics * scores).
     """

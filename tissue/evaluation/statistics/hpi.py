@@ -1,4 +1,4 @@
-"""Composite index: weighted sum of standardised metrics that all point in the same direction.
+"""Composite performance index: weighted sum of standardised metrics (higher is better).
 
 The weights are the squared loadings of the metrics on their first principal component.
 """
@@ -22,7 +22,7 @@ def drawn_users(groups: Ints, count: int, rng: np.random.Generator) -> Ints:
     groups
         Group of every user, 0 to G - 1, shape (users,).
     count
-        Number of populations. In each population, the groups have their original sizes.
+        Number of draws. In each draw, every group keeps its size.
 
     Returns
     -------
@@ -36,7 +36,7 @@ def drawn_users(groups: Ints, count: int, rng: np.random.Generator) -> Ints:
 
 
 SMALLEST_GAP = 1.25
-"""Smallest ratio of the variances of the first two principal components for a distinct first one.
+"""Variance ratio of the first two principal components above which the first is distinct.
 
 The value is a convention.
 """
@@ -44,19 +44,18 @@ The value is a convention.
 
 @dataclass(frozen=True)
 class Index:
-    """Composite index of a study: mean of each method, and weights of the metrics.
+    """Composite index of a study: mean index of each method, and weights of the metrics.
 
     Attributes
     ----------
     metrics, weights
-        Names of the metrics, and their weights with intervals over resampled users. The weights sum
-        to one.
+        Names of the metrics, and their weights with bootstrap intervals. The weights sum to one.
     means
-        Mean index of each method, with an interval over resampled users. The weights are computed
-        again for each resampled population.
+        Mean index of each method, with its bootstrap interval. For each bootstrap sample of users,
+        the weights are computed again.
     assumptions
-        Checks that the loadings of all metrics have the same sign, that the first component is
-        distinct, and that the weights are stable.
+        Checks that all loadings on the first principal component have the same sign, that its
+        variance is clearly the largest, and that the weights are stable.
     """
 
     metrics: tuple[str, ...]
@@ -104,11 +103,11 @@ def composite_index(
 ) -> Index:
     """Compute the composite index with weights from the first principal component.
 
-    Metrics are oriented so that higher is better, and standardised within each task, because the
-    scales of tasks differ. The weights are the squared loadings of the first principal component of
-    the correlation matrix. The published weights, which are computed from raw metrics, have mixed
-    signs and depend on the units. The weights of this function are not negative and do not depend
-    on the units.
+    The sign of each metric is chosen so that higher is better. The metrics are standardised within
+    each task, because tasks have different scales. The weights are the squared loadings of the
+    first principal component of the correlation matrix. The published weights, which are computed
+    from raw metrics, have mixed signs and depend on the units. The weights of this function are not
+    negative and do not depend on the units.
 
     Parameters
     ----------
@@ -120,8 +119,8 @@ def composite_index(
     rng
         Random generator that draws users for the intervals.
     count
-        Number of resampled populations. With 2000, the 2.5 % beyond each end of an interval have a
-        standard error of 0.35 %.
+        Number of bootstrap samples. With 2000, the tail probability of 2.5 % has a standard error
+        of 0.35 %.
     """
     names = tuple(directions)
     kept = table.failure == ""
@@ -182,8 +181,7 @@ def _means(values: Array, shares: Array) -> Array:
 
     ``shares`` holds k sets of weights, shape (k, rows).
 
-    If a method has no rows in a resampled population, its mean is set to zero, because NaN would
-    make every percentile NaN.
+    If all weights of a set are zero, the mean is zero, not NaN.
     """
     return shares @ values / np.maximum(shares.sum(axis=1), 1.0)
 
@@ -218,7 +216,7 @@ def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumptio
 
 
 def _effects(names: Sequence[str], values: Array, limits: Array) -> tuple[Effect, ...]:
-    """Return named values with intervals; ``limits`` holds the ends, shape (2, values)."""
+    """Return named values with their intervals, whose ends ``limits`` have shape (2, values)."""
     return tuple(
         Effect(*each) for each in zip(names, values.tolist(), *limits.tolist(), strict=True)
     )

@@ -23,8 +23,8 @@ LEVEL = 0.95
 TAILS = (0.5 * (1.0 + LEVEL), 0.5 * (1.0 - LEVEL))
 """Probabilities that define the lower and the upper end of an interval.
 
-If the true value is the lower end, a value below the measured value has the first probability. If
-the true value is the upper end, a value below the measured value has the second probability.
+The lower end is the true value for which a result below the measured result has the first
+probability. The upper end is the true value for the second probability.
 """
 MOST = 5000
 """Largest sample for which the p value of Shapiro and Wilk's test is known (Royston 1995)."""
@@ -39,10 +39,10 @@ class Assumption:
     name
         Name of the assumption, such as "normal residuals".
     holds
-        True if the check did not reject the assumption at :data:`ALPHA`. In a small sample, this is
-        no proof of the assumption.
+        True if the check did not reject the assumption at the level :data:`ALPHA`. For a small
+        sample, this is weak evidence.
     finding
-        Name of the check and its numbers, as text.
+        Name and numerical results of the check, as text.
     """
 
     name: str
@@ -72,7 +72,7 @@ class HypothesisTest:
     test
         Name of the test.
     question
-        Question of the test, such as "force_error: method".
+        Tested metric and effect, such as "force_error: method".
     statistic_name, statistic, degrees
         Name of the test statistic, such as F, its value and its degrees of freedom.
     p
@@ -83,10 +83,9 @@ class HypothesisTest:
     assumptions
         Assumptions of the test.
     alternatives
-        Other tests of the same question, such as the tests of the paper. The alternatives are
-        reported, but decisions do not use them.
+        Other tests of the same question. They are reported, but do not affect conclusions.
     note
-        Further information for the reader. May be empty.
+        Remark on the test. May be empty.
     """
 
     test: str
@@ -102,12 +101,12 @@ class HypothesisTest:
 
     @property
     def sound(self) -> bool:
-        """True if no check rejected an assumption."""
+        """True if no assumption of the test was rejected."""
         return all(each.holds for each in self.assumptions)
 
     @property
     def found(self) -> bool:
-        """True if the test rejects at :data:`ALPHA`."""
+        """True if the test is significant at the level :data:`ALPHA`."""
         return self.p <= ALPHA
 
     @property
@@ -151,8 +150,7 @@ def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Ef
         samples belongs to the same user.
     paired
         Divide by the standard deviation of the differences ("d of differences"), not by the pooled
-        standard deviation of the samples. The two kinds of d answer different questions, so the
-        returned effects have different names.
+        standard deviation of the samples. The name of the returned effect shows the kind of d.
 
     Raises
     ------
@@ -202,9 +200,9 @@ def partial_eta_squared(statistic: float, above: float, below: float) -> Effect:
 
 
 def _noncentrality(statistic: float, above: float, below: float, chance: float) -> float:
-    """Return the noncentrality at which a smaller F than `statistic` has probability `chance`.
+    """Return the noncentrality for which F < `statistic` has the probability `chance`.
 
-    The result is zero if the probability is at most `chance` even without noncentrality.
+    The result is zero if the probability is at most `chance` for the central F distribution.
     """
 
     def excess(shift: float) -> float:

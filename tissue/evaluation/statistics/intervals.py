@@ -9,7 +9,7 @@ from meshes.base.arrays import Array
 
 
 class Interval(NamedTuple):
-    """Mean over independent units, and the ends of its 95 % interval."""
+    """Mean over independent units, such as people, and the ends of its 95 % interval."""
 
     mean: float
     low: float
@@ -19,8 +19,8 @@ class Interval(NamedTuple):
 def mean_interval(values: Array) -> Interval:
     """Return the mean of values, shape (n,), with a symmetric interval by Student's t.
 
-    `values` has one entry per unit. Use this interval for values of both signs, such as
-    differences. The interval of a single unit has zero width.
+    The values are independent, such as one per person. Use this interval for values of both signs,
+    such as differences. For a single value, the interval has zero width.
     """
     mean = float(values.mean())
     half = _half_width(values)
@@ -32,8 +32,8 @@ def signed_interval(values: Array) -> Interval:
 
     Errors and times are positive, but the symmetric interval of a few skewed values can end below
     zero. The t interval is therefore computed for the logarithm of the mean. The standard error of
-    this logarithm is the standard error of the mean divided by the mean (delta method). Values that
-    do not all have the same sign get the symmetric interval.
+    this logarithm is the standard error of the mean divided by the mean (delta method). If the
+    values do not all have the same sign, the symmetric interval is returned.
     """
     mean = float(values.mean())
     if not ((values > 0.0).all() or (values < 0.0).all()):

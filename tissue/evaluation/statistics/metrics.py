@@ -1,4 +1,4 @@
-"""Metrics of one trial.
+"""Performance metrics of one trial of a study.
 
 The metrics are force error, latency, smoothness, distance from the target, and alignment of two
 paths.
@@ -21,19 +21,19 @@ SPARC_AMPLITUDE = 0.05
 SPARC_PADDING = 4
 """Padding level of SPARC (Balasubramanian et al. 2015).
 
-Zero padding refines the spectrum by a factor of 2 to this power.
+With level p, zero padding makes the resolution of the spectrum 2^p times as fine.
 """
 TREMOR_MM = 0.2
-"""Distance that a resting tool may move [mm].
+"""Distance [mm] that a resting tool may move because of tremor.
 
 The largest amplitude of a simulated hand's tremor in hands.toml is 0.17 mm (three axes).
 """
 POINTS = 800
-"""Largest number of samples of each path that are aligned.
+"""Largest number of samples of each path in the dynamic time warping of two paths.
 
-Rows between these samples are interpolated.
+For longer paths, rows between the samples are interpolated.
 
-Memory and time of the alignment grow with the square of this number.
+Memory and computing time grow with the square of this number.
 """
 
 
@@ -43,7 +43,7 @@ def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
     Parameters
     ----------
     force_N, ideal_N
-        Played force and ideal force [N], each of shape (ticks,) or (ticks, 3).
+        Force that the device applied, and ideal force [N], each of shape (ticks,) or (ticks, 3).
 
     Raises
     ------
@@ -63,15 +63,14 @@ def excess_error(error: float, least_error: float) -> float:
     """Compute the excess of an error over the smallest possible error.
 
     The excess is sqrt(error^2 - least_error^2), or 0 if `error` is smaller than `least_error`.
-    `least_error` is the error of a perfect force that is played through the same device. The
-    squares of independent errors add up, so the excess is the part of the error that a better force
-    could remove.
+    `least_error` is the error of a perfect force on the same device. Because the squares of
+    independent errors add up, the excess is the part of the error that a better force could avoid.
     """
     return float(np.sqrt(max(error**2 - least_error**2, 0.0)))
 
 
 def force_mae_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
-    """Return the mean over ticks of the size of the error vector of a force [N].
+    """Return the mean norm [N], over ticks, of the error vector of a force.
 
     The arguments are the same as for :func:`force_error`.
     """
@@ -80,7 +79,7 @@ def force_mae_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
 
 
 def force_rms_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
-    """Return the root mean square over ticks of the size of the error vector of a force [N].
+    """Return the root mean square [N], over ticks, of the norm of a force's error vector.
 
     The arguments are the same as for :func:`force_error`.
     """
@@ -91,22 +90,22 @@ def force_rms_N(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
 def latency_ms(
     force_N: ArrayLike, ideal_N: ArrayLike, *, tick_s: float, longest_ms: float = 50.0
 ) -> float:
-    """Compute the lag of the played force behind the ideal force [ms].
+    """Compute the lag [ms] of the applied force behind the ideal force.
 
     The lag is the time shift with the highest correlation of both forces. The correlation is
-    computed over the overlap of the shifted signals. The peak is refined by a parabola through
-    three shifts. If the played force leads the ideal force, for example after a prediction, the lag
-    is negative.
+    computed over the overlap of the shifted signals. The maximum is refined by a parabola through
+    three shifts. The lag is negative if the applied force leads the ideal force, for example
+    because of prediction.
 
     Parameters
     ----------
     force_N, ideal_N
-        Played force and ideal force [N], each of shape (ticks,) or (ticks, 3).
+        Force that the device applied, and ideal force [N], each of shape (ticks,) or (ticks, 3).
     tick_s
         Time from tick to tick [s].
     longest_ms
-        Largest tested shift in either direction [ms]. The default of 50 ms is twelve times the
-        latency of the loop in a study.
+        Largest tested shift in both directions [ms]. The default is twelve times the latency of the
+        haptic loop in a study.
 
     Raises
     ------
@@ -140,13 +139,12 @@ def latency_ms(
 
 
 def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> float:
-    """Return the mean size of the change of acceleration from tick to tick [m/s^2].
+    """Return the mean norm of the change of acceleration from tick to tick [m/s^2].
 
     A lower value means a smoother motion. The measure is the "smoothness index" of the paper,
     computed by the printed formula: mean |dv[i+1]/dt - dv[i]/dt|. The value is the mean jerk
     multiplied by the duration of a tick, so only trials with the same tick can be compared. The
-    value increases with roughness, although the table in the paper presents higher values as
-    better.
+    paper presents higher values as better, although a rougher motion gives a higher value.
 
     Parameters
     ----------
@@ -236,7 +234,7 @@ def excess_travel_mm(depth_mm: ArrayLike, *, puncture_tick: int) -> float:
 
 
 def _correlation(force: Array, ideal: Array, shift: int) -> float:
-    """Return the correlation of force[t + shift] with ideal[t] over all ticks t that both have."""
+    """Return the correlation of force[t + shift] with ideal[t] over all valid ticks t."""
     late, early = (
         (force[shift:], ideal[: len(ideal) - shift])
         if shift >= 0
@@ -268,7 +266,7 @@ def _signal(name: str, values: ArrayLike, *, at_least: int) -> Array:
 
 
 def _pair(force_N: ArrayLike, ideal_N: ArrayLike) -> tuple[Array, Array]:
-    """Return the played and the ideal force as finite arrays of shape (ticks, components)."""
+    """Return both forces as arrays of shape (ticks, components); check that all are finite."""
     return _signal("force_N", force_N, at_least=1), _signal("ideal_N", ideal_N, at_least=1)
 
 
@@ -276,9 +274,9 @@ def aligned_rows(path: Array, model: Array) -> Ints:
     """Align a path with a model path; return the row of the model for each row of the path.
 
     The alignment is computed by dynamic time warping (Sakoe and Chiba 1978), and the returned rows
-    never decrease. Of all monotonic alignments, it has the smallest sum of distances between
-    aligned points. It starts at the first points of both paths. It may end before the last point of
-    the model, so that a correct but incomplete path has no deviation.
+    never decrease. The alignment is the monotonic alignment with the smallest sum of distances
+    between aligned points. It starts at the first points of both paths. It may end before the last
+    point of the model path, so that an incomplete path has no deviation.
 
     Parameters
     ----------
@@ -319,11 +317,10 @@ def aligned_rows(path: Array, model: Array) -> Ints:
 
 
 def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
-    """Return the distance of each point of a path from the model path [mm], shape (n,).
+    """Return the distance [mm] of each point of a path from the model path, shape (n,).
 
     Only the part of the model path near the aligned row is searched. For points that are aligned
-    with the last aligned row, the search continues to the end of the model path. The alignment may
-    end early, and these points may lie near a later part of the model path.
+    with the largest row, the whole rest of the model path is searched too.
 
     Parameters
     ----------
@@ -347,11 +344,11 @@ def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
 
 
 def followed_ticks(model: Array, rows: Ints) -> Flags:
-    """Return True for each point of a path that has an aligned place on the model path.
+    """Return True for each point of a path with a corresponding place on the model path.
 
-    The alignment may end before the last point of the model. If the model then moves farther than
-    the tremor of a hand, the points after this end have no aligned place. The parameters are those
-    of :func:`deviation_mm`.
+    The alignment may end before the last point of the model path. If the model path then moves
+    farther than the tremor of a hand, later points of the path have no corresponding place. See
+    :func:`deviation_mm` for the parameters.
     """
     end = rows[-1]
     goes_on = np.linalg.norm(model[end:] - model[end], axis=1).max() > TREMOR_MM

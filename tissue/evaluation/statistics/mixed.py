@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from statsmodels.regression.mixed_linear_model import MixedLMResults
 
 ITERATIONS = 400
-"""Largest number of iterations of a fit. A fit that needs more counts as not converged.
+"""Largest number of iterations of a mixed-model fit; then it counts as not converged.
 
 Fits of simulated studies with 45 people converge within 25 iterations.
 """
 LEAST = 1e-6
-"""Smallest residual variance, divided by the total variance, for a likelihood with a maximum."""
+"""Ratio of residual to total variance below which the likelihood counts as unbounded."""
 
 
 def mixed_model(table: TrialTable, metric: str) -> list[HypothesisTest]:
@@ -47,9 +47,9 @@ def mixed_model(table: TrialTable, metric: str) -> list[HypothesisTest]:
     the methods would treat the trials of one user as independent (Barr et al. 2013). If several
     methods are run in the same trial, the trial is a random term too. If each user has only one
     trial per method, the interaction of users with methods cannot be separated from the residual
-    and is omitted. Wald's statistic is compared with the F distribution whose degrees of freedom
-    are those of the error term (stratum). With few users, a comparison with the chi-squared
-    distribution would reject too often. In a complete design, this test equals the exact test of
+    and is omitted. Wald's statistic is compared with an F distribution with the degrees of freedom
+    of the error term (stratum). With few users, a comparison with the chi-squared distribution
+    would reject too often. In a complete design, this test equals the exact test of
     :func:`tissue.evaluation.statistics.strata.strata`, unless a variance is estimated as zero.
 
     Raises
@@ -134,7 +134,7 @@ def _convergence(
 
 
 def _freedom(fitted: "MixedLMResults", name: str, free: int) -> int:
-    """Return the degrees of freedom of the error term of a fixed effect.
+    """Return the degrees of freedom of a fixed effect's error term.
 
     The result is `free`, the degrees of freedom of users within groups, multiplied by the degrees
     of freedom of the effect's factors within users.
@@ -148,7 +148,7 @@ def _freedom(fitted: "MixedLMResults", name: str, free: int) -> int:
 def _tests(
     fitted: "MixedLMResults", metric: str, free: int, assumptions: tuple[Assumption, ...]
 ) -> list[HypothesisTest]:
-    """Return Wald's F test of every fixed effect, each against its error term."""
+    """Return Wald's F test of every fixed effect."""
     found = []
     for term, row in fitted.wald_test_terms(scalar=True).table.iterrows():
         # the mean of all trials is no effect
@@ -193,7 +193,7 @@ With half as many nodes, the intervals agree to four digits.
 SLOPE_SPREAD = 10.0
 """Prior standard deviation of slopes and intercept, divided by the residual standard deviation.
 
-Both standard deviations refer to standardised columns. The prior is almost uninformative.
+Response and predictors are standardised. The prior is almost uninformative.
 """
 SHAPE = SCALE = 0.01
 """Shape and scale of the inverse gamma prior of the residual variance, almost uninformative.
@@ -213,8 +213,8 @@ class Posterior:
         Slope of each predictor: median and credible interval, in units of the response per unit of
         the predictor.
     correlation
-        Intraclass correlation: variance between users divided by the variance about the regression
-        line, as the mean over the posterior.
+        Posterior mean of the intraclass correlation: variance between users divided by the variance
+        about the regression line.
     chances
         Probability that each slope is positive.
     sentence
@@ -251,8 +251,7 @@ def regression(
     predictors
         Predictors by name, finite, each of shape (rows,).
     users
-        User of each row, shape (rows,). The random term of the users prevents that the rows of one
-        user count as independent.
+        User of each row, shape (rows,). Rows of one user are correlated.
     response
         Name of the response.
 
@@ -330,9 +329,9 @@ def regression(
 def _conjugate(
     values: Array, design: Array, person: Ints, ratios: Array
 ) -> tuple[Array, Array, Array]:
-    """Return centre and scale of the t distribution of every coefficient, and the log evidence.
+    """Return centre and scale of each coefficient's t distribution, and the log evidence.
 
-    All three results are arrays over `ratios`, the ratios of the variance between users to the
+    All three arrays have one entry for each ratio in `ratios`: variance between users divided by
     residual variance.
 
     The inverse covariance of the n rows of one user is I - 11' k, with k = ratio / (1 + n ratio).

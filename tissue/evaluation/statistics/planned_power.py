@@ -1,4 +1,4 @@
-"""Power of a planned study, by simulation of the tests that decide its questions."""
+"""Power of the hypothesis tests of a planned study, by simulation."""
 
 from itertools import combinations
 
@@ -10,24 +10,25 @@ from tissue.evaluation.statistics.sign_flips import largest_squared_t
 from tissue.evaluation.statistics.strata import pair_differences
 
 EFFECT = 1.0
-"""Smallest effect of interest [standard deviations].
+"""Smallest effect that a study shall detect [standard deviations].
 
-For methods, the unit is the standard deviation, over people, of the difference between two methods.
-For groups, it is the standard deviation of the people of one group. The value is a choice from the
-range 0.5 to 2. In the paper, the force errors of penalty and Koopman differ by 2.8 to 2.9 standard
-deviations. This follows from the table of force errors, with the root mean square of the standard
-deviations of both columns.
+For a comparison of methods, the unit is the standard deviation, over people, of the difference
+between two methods. For a comparison of groups, the unit is the standard deviation of the people in
+a group. The value is a choice from the range 0.5 to 2. In the paper, the force errors of the
+methods penalty and Koopman differ by 2.8 to 2.9 standard deviations.
 """
 POWER = 0.8
 """Power for which the number of people in a study is planned (Cohen 1988, section 2.4)."""
 MOST_PEOPLE = 200
-"""Largest number of people per group that is tried. No registered effect needs so many people."""
+"""Largest number of people per group that is tried in the search for a planned number.
+
+No effect of a registered plan needs so many people.
+"""
 POPULATIONS = 20_000
 """Number of simulated studies from which one value of the power is computed.
 
-At a significance level of 5 % divided by 54 tests, 19 simulated studies without an effect exceed
-the critical value. The random error of this critical value changes a power of 0.8 by 0.02 (standard
-deviation of 12 repetitions), and a planned number of 35 people by up to 2.
+With this number and a significance level of 5 % / 54, a power of 0.8 has a random error of 0.02
+(standard deviation of 12 repetitions). A planned number of 35 people changes by up to 2.
 """
 
 
@@ -55,9 +56,10 @@ def planned_power(
 ) -> dict[str, float]:
     """Return the power of each test of one metric on one task, for an effect of a given size.
 
-    For the test of methods, one method differs by ``effect`` from all others, which are equal. For
-    groups, one group differs, and for the interaction, one method in one group. The unit of
-    ``effect`` is explained at `EFFECT`. Values are normal with equal standard deviations.
+    In the test of methods, one method differs by ``effect`` from all others, which are equal. In
+    the test of groups, one group differs; in the test of the interaction, one method in one group.
+    The unit of ``effect`` is explained at `EFFECT`. Values are normal with equal standard
+    deviations.
 
     The power is the share of simulated studies whose largest t exceeds the critical value. The
     critical value is the quantile 1 - alpha of the largest t in simulated studies without an
@@ -68,8 +70,8 @@ def planned_power(
     Parameters
     ----------
     people
-        Number of people in a group. The effect refers to means over the trials of a person, so the
-        number of trials has no influence.
+        Number of people in a group. The number of trials has no influence, because ``effect``
+        refers to the mean of each person.
     groups, methods
         Number of groups and number of methods.
     alpha

@@ -1,6 +1,6 @@
 """Sign-flip tests: permutation tests that change the signs of differences at random.
 
-The decisions of a study follow from these tests.
+The conclusions of a study are drawn from these tests.
 
 The tests compare all pairs of levels or groups by t statistics, each with its own standard error.
 Unlike F tests and permutations of labels, sign flips are valid for methods and groups with
@@ -18,8 +18,8 @@ from tissue.evaluation.statistics.strata import effect_scores, group_means, pair
 FLIPS = 19_999
 """Number of random sign flips of a test.
 
-A complete study has 54 planned tests. Each test therefore decides at p = 0.0009, the level of 5 %
-divided by 54. With this number of flips, a p value of this size has a standard error of 0.0002.
+A complete study has 54 planned tests, so the critical p value is 5 % / 54 = 0.0009. With this
+number of flips, a p value of this size has a standard error of 0.0002.
 """
 FLIPS_OF_RATES = 199
 """Number of random sign flips of a test that is repeated on thousands of data sets.
@@ -27,13 +27,13 @@ FLIPS_OF_RATES = 199
 With 199 flips, a significance level of 5 % is met exactly.
 """
 BLOCK = 2_000_000
-"""Largest number of values that are in memory at once (16 MB)."""
+"""Largest number of array entries that are processed at once (16 MB)."""
 SMALLEST = 1e-12
-"""Lower bound of a variance, divided by the mean square. It is above the rounding error of both."""
+"""Lower bound of a variance relative to the mean square, above the rounding error."""
 EQUAL = 1e-9
 """Relative difference below which two statistics count as equal.
 
-The rounding error is 1e-16 of the mean square. A small variance magnifies the rounding error.
+Rounding errors of 1e-16 are larger in statistics with a small variance.
 """
 
 
@@ -44,8 +44,8 @@ class SignTest:
     Attributes
     ----------
     statistic, p
-        Largest absolute t over all pairs, and its p value: the fraction of flips whose largest t is
-        at least as large.
+        Largest absolute t over all pairs, and its p value: the fraction of sign flips with a
+        largest t that is not smaller.
     differences, errors
         Mean difference of each pair, and its standard error, each of shape (pairs,).
     pair_p
@@ -53,8 +53,8 @@ class SignTest:
         of this pair, shape (pairs,). These p values are corrected for the comparison of all pairs
         (Westfall and Young 1993).
     critical
-        Absolute t that the largest t of a flip reaches with a probability of 5 %. ``differences ±
-        critical * errors`` are simultaneous 95 % intervals.
+        Absolute t that the largest t after a random sign flip reaches with a probability of 5 %.
+        ``differences ± critical * errors`` are simultaneous 95 % intervals.
     """
 
     statistic: float
@@ -66,16 +66,16 @@ class SignTest:
 
 
 def pair_scores(values: Array, sizes: tuple[int, ...], chosen: tuple[int, ...]) -> Array:
-    """Compute the differences of every user between all pairs of levels of one effect.
+    """Compute each user's differences between all pairs of levels of an effect.
 
-    Parameters and shapes are those of :func:`effect_scores`. For an interaction, the scores are
-    differences of differences. Without chosen factors, the score is the mean of the user.
+    See :func:`effect_scores` for parameters and shapes. For an interaction, the scores are
+    differences of differences. If `chosen` is empty, the score is the mean of the user.
     """
     return effect_scores(values, sizes, chosen, pair_differences, -1.0)
 
 
 def _compared(means: Array, variances: Array, *, between: bool) -> tuple[Array, Array]:
-    """Return the tested differences and their variances, each of shape (..., pairs).
+    """Return the differences to test and their variances, each of shape (..., pairs).
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def _compared(means: Array, variances: Array, *, between: bool) -> tuple[Array, 
 
 
 def largest_squared_t(means: Array, variances: Array, *, between: bool) -> Array:
-    """Return the largest squared t over all pairs, shape (...).
+    """Return the largest squared t statistic over all pairs, shape (...).
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def largest_squared_t(means: Array, variances: Array, *, between: bool) -> Array
 
 
 def _moments(scores: Array, groups: Ints, signs: Array) -> tuple[Array, Array]:
-    """Return the means of groups after sign flips, and the variances of these means.
+    """Return the group means of scores after sign flips, and the variances of the means.
 
     Parameters
     ----------
@@ -142,9 +142,9 @@ def _moments(scores: Array, groups: Ints, signs: Array) -> tuple[Array, Array]:
 
 
 def _flipped(scores: Array, groups: Ints, *, between: bool) -> Array:
-    """Return the values whose signs are flipped: scores, or residuals about the group means.
+    """Return the values to flip: scores or, if groups are compared, scores minus group means.
 
-    Residuals are used if groups are compared.
+    The shape is that of `scores`.
     """
     if between:
         return scores - group_means(scores, groups)[..., groups, :]
@@ -186,10 +186,11 @@ def sign_test(
     The statistic is the largest absolute t over all pairs. Each t has its own standard error,
     computed from the variances within the groups (Welch 1938).
 
-    If there is no effect and errors are symmetric, the differences of a user are equally likely
-    with the opposite signs. The test within users is then exact, whatever the variances and
-    correlations of the methods. Groups are compared by flips of the residuals about the group means
-    (wild bootstrap, Wu 1986; Liu 1988). This test is exact only in the limit of large groups.
+    If there is no effect and the errors are symmetric, the differences of a user have both signs
+    with equal probability. The test within users then has exactly the nominal error rate, whatever
+    the variances and correlations of the methods. For the comparison of groups, the signs of scores
+    minus group means are flipped (wild bootstrap, Wu 1986; Liu 1988). The error rate of this test
+    is exact only in the limit of large groups.
 
     Parameters
     ----------

@@ -30,8 +30,8 @@ class Strata:
     degrees
         Degrees of freedom of numerator and denominator.
     epsilon, corrected_p
-        Measure of sphericity by Greenhouse and Geisser (1959), and p value with the degrees of
-        freedom multiplied by this measure. The measure is 1 if the contrasts are spherical.
+        Measure of sphericity by Greenhouse and Geisser (1959), which is 1 for spherical contrasts,
+        and p value after multiplication of the degrees of freedom by this measure.
     """
 
     F: Array
@@ -78,13 +78,15 @@ def effect_scores(
     sizes
         Number of levels of each factor.
     chosen
-        Indices of the factors in the effect. Without any, the score is a mean of the user.
+        Indices of the factors in the effect. If empty, the score is proportional to the mean of the
+        user.
     contrasts
         Function that returns the weights of contrasts, shape (contrasts, levels), for a number of
         levels. It is applied to the factors in the effect. Default: orthonormal contrasts.
     power
-        Weight of each level of the factors outside the effect, as a power of the number of levels.
-        The default has unit length, as orthonormal contrasts.
+        Exponent p: over factors outside the effect, the levels are summed with the weight n^p,
+        where n is the number of levels. -1 gives the mean. The default gives a weight vector of
+        unit length.
 
     Returns
     -------
@@ -99,11 +101,11 @@ def effect_scores(
 
 
 def _squares(scores: Array, groups: Ints, *, between: bool) -> tuple[Array, Array, int, int]:
-    """Return squares and products of an effect and of its error, and their degrees of freedom.
+    """Return sums of squares and products of an effect and its error, and their degrees.
 
-    Scores have shape (..., users, columns), squares and products (..., columns, columns). If
-    `between` is true, the effect is the difference of groups. Otherwise, the effect is the mean
-    over groups with equal weights.
+    The degrees of freedom are the last two results. Scores have shape (..., users, columns). The
+    sums have shape (..., columns, columns). If `between` is true, the effect is the difference of
+    groups. Otherwise, the effect is the mean over groups with equal weights.
     """
     counts = np.bincount(groups)
     means = group_means(scores, groups)
@@ -131,8 +133,8 @@ def strata(
     """Test one effect by an F test against the variation of its scores between users.
 
     This variation is the error term (stratum) of the effect, and includes interactions of users
-    with methods. A mixed model approximates this test. The test is exact in a balanced design with
-    normal effects of users, of users by factor and of trials.
+    with methods. The p value is exact for a balanced design with normally distributed random
+    effects.
 
     Parameters
     ----------
@@ -164,7 +166,7 @@ def strata(
 
 
 def tukey(values: Array, groups: Ints, *, between: bool) -> tuple[Array, Array, tuple[int, int]]:
-    """Return what Tukey's test compares: differences of all pairs, errors and degrees of freedom.
+    """Return the data for Tukey's test: differences of all pairs, errors, degrees of freedom.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Table of a study, with one row for each trial and method.
+"""Table of a study's results, with one row for each trial and method.
 
 The order of the rows does not depend on the order in which trials finished.
 """
@@ -24,9 +24,9 @@ KEYS = (*KEY, "seed", "failure")
 
 @dataclass(frozen=True)
 class Cells:
-    """Means of one metric over the trials of each user at each level.
+    """Means of one metric over the trials of each user, for each method or other level.
 
-    The tests of a study compare these means.
+    Hypothesis tests compare these means.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Cells:
         Name of the metric, with its unit.
     values
         Mean over the trials of a user at a level, shape (users, levels). A level is a combination
-        of the levels of `factors`.
+        with one level of each factor in `factors`.
     counts
         Number of trials in each mean, shape (users, levels).
     groups
@@ -42,10 +42,10 @@ class Cells:
     users
         Label of every user.
     factors
-        Crossed factors within users: name and levels of each factor. Along the axis of the levels,
-        the last factor changes fastest.
+        Crossed factors within users: name and levels of each factor. In `values`, the last factor
+        changes fastest along the axis of the levels.
     dropped
-        Users that are left out because all their trials at one of the levels failed.
+        Users that are omitted because they have no successful trial at one of the levels.
     """
 
     metric: str
@@ -76,8 +76,8 @@ class TrialTable:
         Number of the trial within its task, group and user, and the seed that reproduces the trial,
         shape (rows,).
     failure
-        Reason of the failure, shape (rows,). Empty for a row that did not fail. The metrics of a
-        failed row are NaN.
+        Reason of the failure of each row, shape (rows,). Empty for a row that did not fail. The
+        metrics of a failed row are NaN.
     metrics
         Values of each metric by name, each of shape (rows,). The name of a metric includes its
         unit.
@@ -127,9 +127,9 @@ class TrialTable:
 
     @classmethod
     def from_rows(cls, rows: Iterable[Mapping[str, object]]) -> "TrialTable":
-        """Return a table of rows, each of which contains keys and metrics by name.
+        """Return a table from rows; a row is a mapping from names to labels and metrics.
 
-        A row may omit the key `failure`. A row with a failure may omit metrics.
+        The key ``failure`` may be omitted. A row with a failure may omit metrics.
         """
         listed = list(rows)
         names = list(dict.fromkeys(name for row in listed for name in row if name not in KEYS))
@@ -172,7 +172,7 @@ class TrialTable:
         return self._rows(kept)
 
     def values(self, metric: str) -> Array:
-        """Return the values of a metric in all rows; a value is NaN if the row failed."""
+        """Return the values of a metric in all rows, NaN in failed rows."""
         if metric not in self.metrics:
             raise InputError(
                 "metric", f"be one of {', '.join(self.metrics)}", metric, "choose one of those"
@@ -200,7 +200,7 @@ class TrialTable:
         return self._rows(whole & np.isin(names, kept))
 
     def cells(self, metric: str, *, within: Sequence[str] = ("method",)) -> Cells:
-        """Return the means of a metric over the trials of each user, by factors within users.
+        """Return the means of a metric over the trials of each user, for each level in `within`.
 
         Raises
         ------

@@ -1,1 +1,1 @@
-"""Evaluation study by one command: many trials of tasks, groups and methods, and a report."""
+"""Evaluation study with simulated users: trials, their metrics, and a report."""

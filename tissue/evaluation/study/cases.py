@@ -30,16 +30,16 @@ from tissue.materials.constants import constants
 from tissue.scene.registry import GROUPS
 
 TEETH = ("carious", "sound")
-"""Names of the two specimens of the drilling task.
+"""Names of the two specimens (teeth) of the drilling task.
 
-They are reported separately, because the errors of the two specimens differ more than the errors of
-different methods.
+The specimens are reported separately, because their errors differ more than the errors of different
+methods.
 """
 TORQUE_STEP_NM = CASES["torque_step_Nm"].mean
 
 
 def case_sections(folder: StudyFolder, seed: int) -> list[Section]:
-    """Return a report section for each case study with trials in the folder."""
+    """Return a report section for each case study that has trials in a study's folder."""
     makers: dict[str, Callable[[TrialTable], Section]] = {
         "needle": needle_section,
         "reaming": partial(_reaming, seed=seed),
@@ -50,7 +50,7 @@ def case_sections(folder: StudyFolder, seed: int) -> list[Section]:
 
 
 def _reaming(table: TrialTable, seed: int) -> Section:
-    """Report force error at the reamer, distance from the path, and discrimination of torques."""
+    """Report force error, path error and discrimination of torques for the reaming task."""
     force = CASES["reaming_rms_N"]
     rows = []
     for method in methods_of(table):
@@ -98,7 +98,7 @@ def _reaming(table: TrialTable, seed: int) -> Section:
 
 
 def _drilling(table: TrialTable) -> Section:
-    """Report latency and force error at 400,000 rpm, in carious and in sound teeth."""
+    """Report latency and force error of the drilling task, in carious and in sound teeth."""
     rows = []
     lags = []
     for method in methods_of(table):
@@ -126,9 +126,9 @@ def _drilling(table: TrialTable) -> Section:
 
 
 def travel_by_people(needle: TrialTable, method: str) -> Array:
-    """Return the median of each person's travel after the puncture [mm], shape (people,).
+    """Return each person's median needle travel after the puncture [mm], shape (people,).
 
-    The travel of a trial is infinite if the person did not notice the puncture.
+    A trial in which the person did not notice the puncture counts as infinite travel.
     """
     part = needle.where(method=method)
     travel = np.where(part.values("noticed") > 0.0, part.values("excess_mm"), inf)
@@ -196,7 +196,7 @@ def needle_section(table: TrialTable) -> Section:
 
 
 def _difference(task: str) -> str:
-    """Return a sentence with the reason why no result of a task is compared with the paper."""
+    """Return the reason why the results of a task are not compared with the paper."""
     return f"No figure here is compared with the paper's: {TASKS[task].differs}."
 
 
@@ -205,9 +205,10 @@ def _travel_text(travel_mm: float) -> str:
 
 
 def _travels(shared: TrialTable) -> tuple[str, str, bytes]:
-    """Return the median travel over people and the fraction of noticed punctures by method.
+    """Report needle travel and fraction of noticed punctures by method.
 
-    The three results are a text, a sentence with the range over methods, and a picture.
+    Return a text with the medians over people, a sentence with the range over methods, and a
+    picture (PNG).
     """
     found = []
     medians = []

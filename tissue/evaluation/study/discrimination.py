@@ -1,8 +1,7 @@
-"""Discrimination of two forces at the skin.
+"""Report section: how well simulated people can discriminate two forces in a study.
 
-The module computes the levels of the two forces over trials, the sensitivity d', and the fraction
-of right answers. For each method, it also computes the changes of d' and of right answers relative
-to plain scaling.
+From the forces at the skin in all trials, the sensitivity d' and the fraction of right answers are
+computed. Methods are compared with a method that scales forces by a constant (plain scaling).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -44,15 +43,15 @@ No method was tuned to these people.
 PLAIN = "koopman"
 """Method that scales forces by a constant (plain scaling). Other methods are compared with it."""
 WIDEST = 12
-"""Largest number of letters in a line of an axis label of the chart."""
+"""Largest number of letters in a line of an axis label."""
 LEAST_D = 0.5
 """Smallest sensitivity d' under plain scaling for which a relative change is reported.
 
-For a smaller sensitivity, the change in percent would be a division by almost zero. At a d' of 0.5,
-only 64 % of the answers are right.
+For a smaller d', the relative change would be a division by almost zero. At d' = 0.5, only 64 % of
+the answers are right.
 """
 CHANGES = (("change of d′", 2), ("in %", 1), ("change of right, points", 1))
-"""Name of each column with a change, and number of its decimal digits."""
+"""Names and decimal digits of the table columns with changes relative to plain scaling."""
 
 
 @dataclass(frozen=True)
@@ -64,10 +63,10 @@ class Felt:
     means_N
         Mean force over the trials of each person [N], shape (people,).
     squares_N2
-        Sum over the trials of each person of the squared difference from the mean of this person
-        [N2], shape (people,).
+        Sum of squared differences between the force in a person's trials and the mean force of this
+        person [N2], shape (people,).
     free
-        Number of trials of each person minus one, shape (people,).
+        Degrees of freedom: number of trials of each person minus one, shape (people,).
     """
 
     means_N: Array
@@ -76,10 +75,10 @@ class Felt:
 
     @classmethod
     def over(cls, forces_N: Array, person: Ints, count: int) -> "Felt":
-        """Compute the statistics of each person from the forces of trials [N], shape (n,).
+        """Compute the statistics of each person from the forces in n trials [N], shape (n,).
 
-        `person`, shape (n,), is the index of the person of each trial. ``count`` is the number of
-        people.
+        `person`, shape (n,), contains the index of the person in each trial. ``count`` is the
+        number of people.
 
         Every person has at least one trial.
         """
@@ -94,7 +93,7 @@ class Felt:
 
     @property
     def stimulus(self) -> Stimulus:
-        """Stimulus with the mean over people, and the scatter between trials of one person."""
+        """Stimulus with the mean force over all people, and a person's scatter between trials."""
         return Stimulus(
             self.means_N.mean(),
             np.sqrt(self.squares_N2.sum() / max(self.free.sum(), 1.0)),
@@ -110,7 +109,8 @@ class FeltPair:
     Attributes
     ----------
     less, more
-        Forces that the same people feel on the softer specimen and on the stiffer specimen.
+        Smaller and larger force, such as the forces on a softer and on a stiffer specimen. Both
+        contain the same people.
     """
 
     less: Felt
@@ -121,7 +121,7 @@ class FeltPair:
         return FeltPair(self.less.of(who), self.more.of(who))
 
     def felt_by(self, people: SimulatedObservers) -> tuple[Array, Array]:
-        """Return sensitivity d' and probability of a right answer by observer, each shape (n,).
+        """Return each observer's sensitivity d' and probability of a right answer, shape (n,).
 
         If the force at the skin is smaller on the stiffer specimen, people who judge by force
         answer wrongly, and d' is negative.
@@ -134,12 +134,12 @@ class FeltPair:
 
 
 def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) -> Array:
-    """Return the changes of d' and of right answers relative to plain scaling, shape (3, 3).
+    """Return changes of d' and right answers from plain scaling to another method, shape (3, 3).
 
     The rows are the change of d', the change of d' in percent, and the change of right answers in
-    percentage points. All are changes of means over the observers. The columns are the value and
-    the ends of its 95 % interval. For the interval, each person of the trials is left out in turn,
-    under both methods (jackknife, Efron 1982). The interval uses Student's t.
+    percentage points, each for the mean over the observers. The columns are the change, and the
+    lower and upper end of its 95 % interval. For the interval, each person in the trials is left
+    out in turn (jackknife, Efron 1982).
     """
     from scipy.stats import t
 
@@ -164,10 +164,11 @@ def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) 
 
 
 def specimens(part: TrialTable) -> FeltPair | None:
-    """Return the forces at the skin on the first two specimens of a task, the softer first.
+    """Return the forces at the skin on the first two specimens of a task.
 
-    Only people with trials on both specimens are used. The result is None if there is no such
-    person, or if there is a specimen on which nobody has two trials.
+    Only people with trials on both specimens are used. The smaller force is that of the softer
+    specimen. The result is None if no person has trials on both specimens, or nobody has two trials
+    on the same specimen.
     """
     chosen = np.isin(part.values("specimen"), (0.0, 1.0))
     forces = part.values("skin_N")[chosen]
@@ -180,9 +181,9 @@ def specimens(part: TrialTable) -> FeltPair | None:
 
 
 def sides(needle: TrialTable) -> FeltPair | None:
-    """Return the forces at the skin after and before the capsule's puncture.
+    """Return the forces at the skin after and before a needle punctures the organ's capsule.
 
-    The result is None if nobody has two trials.
+    The result is None if no person has two trials.
     """
     people = needle.people()
     return _pair((needle.values("parenchyma_N"), people), (needle.values("capsule_N"), people))
@@ -191,9 +192,9 @@ def sides(needle: TrialTable) -> FeltPair | None:
 def _pair(
     less: tuple[Array, NDArray[np.str_]], more: tuple[Array, NDArray[np.str_]]
 ) -> FeltPair | None:
-    """Return the statistics of two forces that the same people feel.
+    """Return the statistics of a smaller and a larger force that the same people feel.
 
-    Each argument holds forces [N] and the people who felt them.
+    Each argument contains the forces [N] in all trials, and the label of the person in each trial.
 
     The result is None if the scatter of one of the forces is unknown, because nobody has two
     trials.
@@ -207,10 +208,10 @@ def _pair(
 
 
 def discrimination_section(folder: StudyFolder, table: TrialTable | None, seed: int) -> Section:
-    """Report sensitivity d' and right answers for every pair of forces, group and method.
+    """Report how well people discriminate each pair of forces, by group and method.
 
-    The changes relative to plain scaling are included. `table` has the trials of the compared
-    tasks, if there are any.
+    The section contains d', right answers, and their changes relative to plain scaling. `table` has
+    the trials of the tasks that are not case studies; None if there are no such trials.
     """
     taken: list[tuple[str, Callable[[TrialTable], FeltPair | None], TrialTable | None]] = [
         ("capsule or parenchyma", sides, case_table(folder, "needle")),
@@ -264,7 +265,7 @@ def discrimination_section(folder: StudyFolder, table: TrialTable | None, seed: 
 
 
 def people_of(group: str, seed: int) -> SimulatedObservers:
-    """Return the simulated people of a group who compare forces."""
+    """Draw the simulated people of an expertise group who compare forces."""
     return draw_observers(group, PEOPLE, np.random.default_rng([seed, GROUPS.index(group)]))
 
 
@@ -278,9 +279,9 @@ def case_table(folder: StudyFolder, task: str) -> TrialTable | None:
 
 
 def _sentences(changes: Mapping[tuple[str, str, str], Array]) -> tuple[list[str], str]:
-    """Return sentences with all findings, and a sentence with the main finding.
+    """Describe the changes relative to plain scaling: sentences, and one main sentence.
 
-    The findings are computed from the changes, keyed by pair of forces, group and method.
+    The keys of `changes` are the names of the pair of forces, the group and the method.
     """
     headline = ""
     sentences = [
@@ -315,7 +316,7 @@ def _sentences(changes: Mapping[tuple[str, str, str], Array]) -> tuple[list[str]
 
 
 def _right_answers(rows: Sequence[Mapping[str, str]]) -> bytes:
-    """Draw right answers by pair of forces and method, as means and ranges over groups."""
+    """Draw the fraction of right answers, as means and ranges over the expertise groups."""
     names = list(dict.fromkeys(row["what"] for row in rows))
     shown: dict[tuple[int, str], list[float]] = {}
     for row in rows:

@@ -11,19 +11,18 @@ from tissue.simulation.simulate import simulate
 from tissue.system.progress import duration_text
 
 COSTS = {"T1": 10.0, "T2": 5.1, "T3": 22.0, "needle": 7.6, "reaming": 18.0, "drilling": 12.0}
-"""Processor time of a trial with one method, divided by the time that `probe_s` returns, by task.
+"""Processor time of a trial per method, relative to the time that `probe_s` returns.
 
-The values were measured by ``python tests/bench/bench_study.py --costs`` with one trial of six
-methods. On a busy machine, the time of the probe varied from 0.25 to 0.48 s. The value of reaming
-is 1.49 times the value of drilling, which is the ratio of their processor times in
-docs/performance.md.
+The keys are the tasks. The values were measured by ``python tests/bench/bench_study.py --costs``
+with one trial of six methods, except reaming: 1.49 times the value of drilling, the ratio of their
+processor times in docs/performance.md.
 """
 PROBE_S = 0.5
-"""Simulated time of the short simulation in `probe_s` [s]."""
+"""Simulated time [s] of the short simulation in `probe_s`."""
 
 
 def probe_s(clock: Callable[[], float] = perf_counter) -> float:
-    """Measure the wall time of a short simulation on this machine [s], the unit of `COSTS`."""
+    """Measure the wall time [s] of a short simulation on this machine."""
     scene = changed(
         load_scene("wall"), {"device.renderer": "penalty", "coupling.stiffness_N_m": 200.0}
     )
@@ -35,12 +34,12 @@ def probe_s(clock: Callable[[], float] = perf_counter) -> float:
 
 
 def cost(plan: Plan, keys: Iterable[TrialKey]) -> float:
-    """Return the processor time of trials, divided by the time that `probe_s` returns."""
+    """Return the processor time of trials relative to the time that `probe_s` returns."""
     return len(plan.methods) * sum(COSTS[key.task] for key in keys)
 
 
 def expected_text(plan: Plan, keys: Collection[TrialKey], *, workers: int) -> str:
-    """Return a sentence on the expected time of trials on this machine."""
+    """Return a sentence on the expected computing time of trials on this machine."""
     # two processes on two cores are twice as fast as one process
     seconds = probe_s() * cost(plan, keys) / min(workers, os.cpu_count() or 1)
     about = "" if seconds < 60.0 else "about "

@@ -1,4 +1,4 @@
-"""Report sections on force errors, latency and task metrics."""
+"""Report sections of a study: force errors, latency and task metrics."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -32,18 +32,18 @@ RATIOS = {
     "ratio_unscaled": "by the exponent alone / %",
     "ratio_silent": "without any change / %",
 }
-"""Column name of each metric on ratios of perceived intensity."""
+"""Names of the table columns for metrics on ratios of perceived intensity."""
 TIMES = {
     "time s": "time_s",
     "position error mm": "position_error_mm",
     "acceleration change m/s2": "acceleration_change_m_s2",
     "spectral arc length": "spectral_arc_length",
 }
-"""Metric in each column of the table of task metrics."""
+"""Metric in each column of the table with time, position error and smoothness."""
 
 
 def force_section(table: TrialTable) -> Section:
-    """Report force errors by task and method, next to the published errors.
+    """Report force errors by task and method, together with the published errors.
 
     Parameters
     ----------
@@ -99,9 +99,10 @@ def force_section(table: TrialTable) -> Section:
 
 
 def _left_over(table: TrialTable) -> list[str]:
-    """Return sentences on the force error with prediction, and on the ratio error with perception.
+    """Return sentences on how much prediction and personal scaling reduce the errors.
 
-    The errors are divided by the errors without prediction, or without perception.
+    The force error with prediction is divided by that without. The error of perceived ratios with
+    scaling for the person is divided by that without.
     """
     remarks = []
     for metric, first, second, what in (
@@ -137,7 +138,7 @@ def _points(
 ) -> bytes:
     """Draw metrics with 95 % intervals over users, one panel for each metric.
 
-    `metrics` has the axis label and the scale factor of each metric, by the name of the metric.
+    `metrics` maps the name of a metric to its axis label and a scale factor.
 
     Published force errors are drawn as diamonds.
     """
@@ -163,7 +164,7 @@ def _points(
 def _published_errors(
     tasks: Sequence[str], parts: Iterable[tuple[str, str]]
 ) -> dict[tuple[int, str], Figure]:
-    """Return the published force errors, keyed by the index of the task and the method."""
+    """Return the published force errors, keyed by index of the task and name of the method."""
     figures = {
         (tasks.index(task), method): published(task, FORCE_ERROR[task].get(method))
         for task, method in parts
@@ -172,7 +173,7 @@ def _published_errors(
 
 
 def latency_section(table: TrialTable) -> Section:
-    """Report the lag of the played force behind a perfectly predicted force.
+    """Report the lag of the applied force behind a perfectly predicted force.
 
     Failed trials are left out.
     """
@@ -198,7 +199,7 @@ def latency_section(table: TrialTable) -> Section:
 
 
 def task_section(table: TrialTable) -> Section:
-    """Report time, smoothness and position error of the tasks, and the published position error.
+    """Report time, smoothness and position error of the tasks, with published errors.
 
     Failed trials are left out.
     """

@@ -49,8 +49,8 @@ READ_TRIAL = TypeAdapter(Trial)
 class StudyFolder:
     """Study on disk.
 
-    Every trial has its own file, which appears only when it is complete. A study can therefore be
-    stopped at any moment. A truncated file counts as missing.
+    Every trial has its own file, which is written at once after the trial. A study can therefore be
+    stopped at any moment and continued later. A truncated file counts as missing.
 
     Parameters
     ----------
@@ -62,12 +62,12 @@ class StudyFolder:
         self.path = path
 
     def begin(self, plan: Plan) -> list[str]:
-        """Create the folder, or prepare to continue its study; return sentences on problems.
+        """Create the folder, or prepare to continue the study in it; return warnings.
 
         If the folder contains a study, the plan must contain all trials of the study's plan. The
         plan is registered: ``plan.toml`` is written first, and then ``study.json`` with the hash of
-        the plan. If the plan contains more trials than the earlier plan, it is registered in
-        addition to it.
+        the plan. A plan with more trials than the earlier plan is registered in addition to the
+        earlier plan.
 
         Raises
         ------
@@ -95,9 +95,10 @@ class StudyFolder:
 
     @contextmanager
     def held(self, plan: Plan) -> Iterator[list[str]]:
-        """Lock the folder against other processes while a ``with`` block runs trials.
+        """Lock the folder against other processes inside a ``with`` block.
 
-        The block receives the sentences of `begin`. See `begin` for the errors.
+        The value of the ``with`` statement is the list of warnings from `begin`. Raises the same
+        errors as `begin`.
         """
         self._require_same(plan)
         folder = OwnedFolder(self.path, KIND, ())
@@ -159,12 +160,12 @@ class StudyFolder:
     def registrations(self) -> list[Registration]:
         """Return the registered plans, the newest last.
 
-        Raises the errors of `plan`.
+        Raises InputError if the folder contains no plan, or the plan of another version.
         """
         return self._begun()[1]
 
     def _begun(self) -> tuple[Plan, list[Registration]]:
-        """Return the plan and the registered plans."""
+        """Return the plan of the study and all registered plans."""
         path = require_regular(self.path / PLAN)
         try:
             held = read_json(path.read_text("utf-8"))
@@ -194,7 +195,7 @@ class StudyFolder:
             ) from None
 
     def has(self, key: TrialKey) -> bool:
-        """Return whether the folder holds a trial."""
+        """Return whether the folder has the file of a trial."""
         return self._file(key).is_file()
 
     def read(self, key: TrialKey) -> Trial | None:
@@ -264,7 +265,7 @@ class StudyFolder:
         return TrialTable.from_rows(rows)
 
     def write_tables(self) -> None:
-        """Write ``trials.csv`` with all compared tasks, and a table for each case study."""
+        """Write ``trials.csv``, and a separate table for each case study."""
         families: dict[str, list[str]] = {}
         there = {trial.key.task for trial in self.trials()}
         for task in (each for each in self.plan().tasks if each in there):
@@ -278,14 +279,14 @@ class StudyFolder:
 
 
 def _is_row(row: Row) -> bool:
-    """Return whether a row has a method, and apart from it only numbers or a failure."""
+    """Return whether a row consists of a method's name and either numbers or a failure."""
     return "method" in row and all(
         isinstance(value, str) == (name in ("method", "failure")) for name, value in row.items()
     )
 
 
 def _write(path: Path, content: Mapping[str, object]) -> None:
-    """Write a JSON file at once, so that a reader never sees an incomplete file."""
+    """Write a JSON file atomically, so that other processes never read an incomplete file."""
     write_text(path, json.dumps(content, indent=1))
 
 
@@ -312,8 +313,8 @@ def run_study(
         Folder of the study. If the folder contains a part of the study, only the missing trials are
         run.
     workers
-        Number of worker processes. Default: one per core. A scheduler has its own workers; this
-        number then only limits how many trials are submitted at once.
+        Number of worker processes. Default: one per core. With a scheduler, the number only limits
+        how many trials are submitted at once.
     scheduler
         Address of a Dask scheduler that runs the trials, ``tcp://HOST:PORT`` or
         ``tls://HOST:PORT``. Default: processes on this machine.
@@ -357,10 +358,9 @@ def run_study(
 
 
 def _done_share(plan: Plan, missing: Iterable[TrialKey]) -> float:
-    """Return the completed fraction of the work of a study.
+    """Return the fraction of a study's work that is completed.
 
-    Every progress report contains this fraction, because the remaining time is estimated from its
-    increase. In a study that is continued, the fraction does not start at zero.
+    Trials of an earlier, interrupted run count as completed.
     """
     return 1.0 - cost(plan, missing) / cost(plan, plan.all_trials())
 
@@ -397,7 +397,7 @@ def _failed(plan: Plan, key: TrialKey, failure: str) -> Trial:
 
 
 def _in_worker(plan: Plan, key: TrialKey) -> Trial:
-    """Run a trial in a worker process, which runs nothing else."""
+    """Run a trial in a worker process."""
     trial = run_trial(plan, key)
     _keep_what_stays()
     return trial
@@ -405,9 +405,9 @@ def _in_worker(plan: Plan, key: TrialKey) -> Trial:
 
 @cache
 def _keep_what_stays() -> None:
-    """Exclude modules and kernels from garbage collection in all further runs.
+    """Exclude all present objects, such as modules, from garbage collection.
 
-    These objects are needed until the process ends.
+    The objects are needed until the process ends.
     """
     gc.collect()
     gc.freeze()

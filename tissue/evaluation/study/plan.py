@@ -11,7 +11,7 @@ from meshes.base.text_tables import unknown_name
 from tissue.scene.registry import GROUPS, PREDICTORS
 
 COMPARED = ("force_error", "ratio_error", "position_error_mm")
-"""Metrics that are tested, each alone and all together."""
+"""Metrics of hypothesis tests; each is tested alone, and all are tested together."""
 DIRECTIONS = {
     "force_error": -1,
     "ratio_error": -1,
@@ -23,10 +23,10 @@ DIRECTIONS = {
 USERS = 10
 """Number of simulated people in a group.
 
-The trials of a group are assigned to these people in turn.
+The trials of a group are assigned to the people in turn.
 """
 LATENCY_MS = 4
-"""Latency of the loop in every trial [ms]. The mean in the paper is 4.3 ms."""
+"""Latency of the haptic loop in every trial [ms]; the paper reports a mean of 4.3 ms."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,21 +40,21 @@ class Task:
     scene
         Name of the scene.
     changes
-        Changes of the scene, by dotted key. The changes switch off parts without effect on the
-        force, and make a run short enough for thousands of trials.
+        Changes of the scene, by dotted key. The changes switch off computations without effect on
+        the force, and shorten the run.
     specimens
         Changes of the scene for each specimen, by dotted key. Each person gets all specimens in
-        turn. The discrimination compares the first two.
+        turn. The discrimination of forces is evaluated for the first two specimens.
     case
-        True for a case study, which has a separate table and is not among the compared tasks.
+        True for a case study, which is reported separately and is not part of the hypothesis tests.
     wanted_mm
         Corners of the target path of the tool [mm]. Default: the path of the motion.
     most
         Largest number of trials for each expertise group.
     differs
-        Difference from the corresponding task in the paper. If there is a difference, results of
-        the task are not compared with the paper. Empty if the task satisfies all conditions that
-        the paper states. The paper states no geometry, tool or path.
+        Description of a known difference from the corresponding task in the paper; results are then
+        not compared with the paper. Empty if there is no known difference. The paper states no
+        geometry, tool or path.
     """
 
     title: str
@@ -70,7 +70,7 @@ class Task:
 def _scaled(
     nominal: Mapping[str, float], shares: Sequence[float]
 ) -> tuple[Mapping[str, object], ...]:
-    """Return one specimen for each factor in `shares`: all nominal values times the factor."""
+    """Return a specimen for each factor in `shares`: every nominal value times the factor."""
     return tuple({name: share * value for name, value in nominal.items()} for share in shares)
 
 
@@ -171,9 +171,9 @@ TASKS = {
 }
 """Tasks by name.
 
-The stiffness of the specimens of T1 and T2 is 0.7, 1 and 1.3 times the usual stiffness. The bone
-density of the specimens of T3 is 0.6, 1 and 1.1 times the usual density. Reaming has at most 60
-trials, two for each person.
+T1 and T2 have three specimens with 0.7, 1 and 1.3 times the usual stiffness. T3 has three specimens
+with 0.6, 1 and 1.1 times the usual bone density. Reaming has at most 60 trials, two for each
+person.
 """
 METHODS: dict[str, Mapping[str, object]] = {
     "penalty": {"renderer": "penalty"},
@@ -185,8 +185,8 @@ METHODS: dict[str, Mapping[str, object]] = {
 }
 """Settings of the built-in methods that compute the force, by name of the method.
 
-The last method also scales the force for the person of the trial. Every other predictor is a method
-too, with the name of the predictor; see `method_settings`.
+The last method also scales the force for the perception of the person. The name of every other
+predictor is a method too; see `method_settings`.
 """
 PERSONAL = ("koopman-perception",)
 """Methods that scale the force for the perception of the individual person."""
@@ -246,7 +246,7 @@ class TrialKey:
     def name(self) -> str:
         """Name of the trial's file.
 
-        The same name selects the trial for a single run.
+        The method `named` converts the name back to a key.
         """
         return f"{self.task}-{self.group}-{self.trial:04d}"
 
@@ -283,8 +283,8 @@ class Plan:
     tasks, groups
         Tasks and expertise groups of the study.
     methods
-        Compared methods: keys of `METHODS`, or names of predictors. The coupling stiffness of a
-        trial is stable with all of these methods, so it depends on this choice.
+        Compared methods: keys of `METHODS`, or names of predictors. All methods of a trial have the
+        same coupling stiffness, which must be stable with each of the methods.
 
     Raises
     ------
@@ -319,13 +319,14 @@ class Plan:
 
     @property
     def compared(self) -> tuple[str, ...]:
-        """Tasks of the plan without the case studies."""
+        """Tasks of the plan that are not case studies."""
         return tuple(task for task in self.tasks if not TASKS[task].case)
 
     def all_trials(self) -> Iterator[TrialKey]:
         """Yield the keys of all trials.
 
-        Groups and tasks alternate, so that a study that is stopped early is balanced.
+        Groups and tasks alternate. The trials of a study that is stopped early are therefore
+        balanced.
         """
         for trial in range(self.trials):
             for task in self.tasks:
@@ -336,7 +337,7 @@ class Plan:
     def holds(self, other: "Plan") -> bool:
         """Return whether this plan contains all trials of another plan.
 
-        If so, this plan can continue the study in the folder of the other plan.
+        If true, a study with the other plan can be continued with this plan.
         """
         same = self.seed == other.seed and self.methods == other.methods
         wider = set(other.tasks) <= set(self.tasks) and set(other.groups) <= set(self.groups)
@@ -348,9 +349,9 @@ class Plan:
         return seeded(self.seed, *place)
 
     def person(self, key: TrialKey) -> np.random.Generator:
-        """Return the random generator of the person of a trial.
+        """Return the random generator from which the person of a trial is drawn.
 
-        A person has the same generator in every task.
+        For the same person, the generator is the same in every task.
         """
         # 1000 separates people from the streams of trials, which begin with the index of a task
         return seeded(self.seed, 1000, GROUPS.index(key.group), key.user)

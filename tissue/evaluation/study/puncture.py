@@ -1,4 +1,4 @@
-"""Excess travel of a needle after a puncture, for a hand that pushes with a rising force.
+"""Simulation of a hand that pushes a needle with a rising force until a membrane punctures.
 
 The hand stops one reaction time after it has noticed the puncture.
 
@@ -13,21 +13,21 @@ the tip with the force P(z)::
     M s'' = K_0 (a - s) + reflex + b_hand (a' - s') - b_device s' - friction - f,    k_c (s - z) = P(z)
 
 K_0 and b_hand are stiffness and damping of the grip. f is the force k_c (s - z) after prediction,
-low-pass, latency and the lag of the device. The reflex is a fraction of the value that K_0 (a - s)
-had one reflex time before. The deflection of the organ is u, and the inserted length of the needle
-is z - u. Until the puncture, u = z and P = a1 u + a2 u|u|. The membrane is punctured when P reaches
-the puncture force. Then the needle slides, and u follows from a1 u + a2 u|u| = hold + cut +
+low-pass filter, latency and lag of the device. The reflex is a fraction of the value that K_0 (a -
+s) had one reflex time before. The deflection of the organ is u, and the inserted length of the
+needle is z - u. Until the puncture, u = z and P = a1 u + a2 u|u|. The membrane is punctured when P
+reaches the puncture force. Then the needle slides, and u follows from a1 u + a2 u|u| = hold + cut +
 friction * (z - u). P is then this force plus viscous * (z - u) z', see
 `tissue.models.needle.model.Insertion`. The hand notices the puncture by the drop of the force. It
 begins to stop one reaction time later. **Excess travel** is the largest z from the puncture on,
 minus z at the puncture.
 
 The excess travel has three parts. The first part is the immediate relaxation of the springs. The
-tip advances by dF / k_c relative to the device, where dF is the drop of P. The device advances by
-more than dF / K_0, because of its inertia. No hand can prevent this part. The second part is the
-motion of the aim until the stop, da/dt times the delay. The third part is the response of the aim
-to the sudden advance of the device. It occurs in that part of the delay that exceeds the reaction
-time.
+tip advances by dF / k_c relative to the device, where dF is the drop of the force P. The device
+advances by more than dF / K_0, because of its inertia. No hand can prevent this part. The second
+part is the motion of the aim until the hand stops: da/dt times the delay from puncture to stop. The
+third part is the response of the aim to the sudden advance of the device. The third part occurs in
+the time by which the delay exceeds the reaction time.
 """  # noqa: E501 a table
 
 from math import inf
@@ -56,14 +56,14 @@ The value is assumed. With this value, a capsule with a puncture force of 2.3 N 
 several seconds, at about 5 mm/s.
 """
 AFTER_S = 0.6
-"""Time that a run continues after the hand begins to stop [s].
+"""Time [s] for which a run continues after the hand begins to stop.
 
-This time covers a submovement and the decay of the oscillation of the grip.
+In this time, the hand comes to rest and the oscillation of the grip decays.
 """
 LONGEST_S = 12.0
 """Largest duration of a run [s]. The membrane must be punctured within this time."""
 NOTICED = "the hand notices a puncture"
-"""Text of the event of a run when the hand notices the puncture.
+"""Text of the event that is recorded when the hand notices the puncture.
 
 The hand stops one reaction time later.
 """
@@ -75,9 +75,8 @@ def pierce(scene: Scene, *, kappa: float, offset_N: float, rate_N_s: float = RAT
     Parameters
     ----------
     scene
-        Scene with a needle on a device. The first two points of its path define the start, the
-        direction, and the depth at which a push without a stop ends. Hand, device, latency,
-        predictor and seed of the scene are used.
+        Scene with a needle on a device. The first two points of the scene's path define the start,
+        the direction, and the largest depth of the push.
     kappa, offset_N
         Weber fraction and low-force term [N] of the person's threshold, see `FeltDrop`.
     rate_N_s
@@ -115,7 +114,7 @@ def pierce(scene: Scene, *, kappa: float, offset_N: float, rate_N_s: float = RAT
 
 
 class _Bystander(RunObserver):
-    """Run observer that ends a run after the stop of the hand, or at a travel of the device."""
+    """Run observer that ends a run after the hand has stopped, or at a limit of the depth."""
 
     def __init__(self, hand: PushingHand, length_m: float) -> None:
         self.hand = hand

@@ -1,7 +1,7 @@
-"""Registration of a study's plan.
+"""Registration of a study's plan before its trials, with a hash that detects later edits.
 
-A registration records the text of the plan, including tests and power, and the hash of this text.
-The hash of the code is recorded in the file of each trial.
+A registration contains the text of the plan, with its hypothesis tests and their power, and the
+hash of this text.
 """
 
 import json
@@ -47,16 +47,16 @@ PLAN_FILE = "plan.toml"
 Registration = dict[str, str | int]
 """Registered plan.
 
-The entry ``file`` is the name of its file, ``sha256`` the hash of this file, and ``trials_before``
-the number of trials in the folder before the registration.
+The entry ``file`` is the name of the plan's file, ``sha256`` the hash of the file, and
+``trials_before`` the number of trials in the folder before the registration.
 """
 STREAM = 2000
-"""Key of the random generator for planned powers.
+"""Key of the random generator for the computed power of tests.
 
-The generators of trials and people have keys below 1001.
+Random generators of trials and people have keys below 1001.
 """
 UNITS = {"force_error": "1", "ratio_error": "1", "position_error_mm": "mm"}
-"""Units of the tested metrics. The name of any other metric ends with its unit."""
+"""Units of the tested metrics, keyed by the name of the metric."""
 DESCRIBED = (
     "least_error: least force error that the device's encoder allows, 1",
     "latency_ms: residual latency, ms, nearer to zero is better",
@@ -95,7 +95,7 @@ HEAD = """\
 def register(
     folder: Path, plan: Plan, held: list[Registration], *, trials: int
 ) -> list[Registration]:
-    """Write the file of a plan; return all registrations including that of this plan, newest last.
+    """Write the file of a plan; return all registrations with the new one, newest last.
 
     The file of an earlier plan is kept under another name.
 
@@ -230,7 +230,7 @@ def notes_before(plan: Plan) -> list[str]:
 
 
 def planned_tests(plan: Plan) -> list[str]:
-    """Return the tests in the report of a planned study, each as task and question.
+    """Return the hypothesis tests that a plan implies, each as a text of task and question.
 
     An example is ``T1 force_error: method``.
 
@@ -329,9 +329,10 @@ def plan_text(plan: Plan) -> str:
 
 
 def _powers(plan: Plan, people: int, alpha: float) -> dict[str, dict[str, float] | dict[str, int]]:
-    """Return the powers with and without correction, and the people needed for a power of 0.8.
+    """Return the power of each test, and the number of people for a power of 0.8.
 
-    `alpha` is the significance level of one test after the correction for several tests.
+    Both are given with and without the correction for several tests. `alpha` is the significance
+    level of one test after the correction.
     """
     design = (len(plan.groups), len(plan.methods))
     rng = seeded(plan.seed, STREAM)

@@ -42,9 +42,9 @@ HEADLINES = ("registration", "force", "discrimination", "case-needle", "latency"
 """Names of the sections whose main findings are listed first in the report, in this order."""
 MOST_HEADLINES = 4
 NAMED = 5
-"""Largest number of names that are listed in a cell of a table or in a sentence."""
+"""Largest number of names that are listed in a table cell or in a sentence."""
 Difference = tuple[str, str, str]
-"""Kind, object and detail of a difference from the registered plan."""
+"""Difference of a study from its registered plan: kind, object and detail."""
 
 
 def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[str]]:
@@ -62,8 +62,8 @@ def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[s
     Raises
     ------
     InputError
-        If the folder is not a study, holds no trial of the compared tasks, or another process
-        writes a report.
+        If the folder is not the folder of a study, contains no trial of the plan's tasks, or
+        another process is writing a report.
     """
     folder = StudyFolder(path)
     out = path / "report"
@@ -80,7 +80,7 @@ def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[s
 
 
 def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Section]:
-    """Return all sections for which a study has trials."""
+    """Return all report sections for which a study has trials."""
     plan = folder.plan()
     folder.write_tables()
     sections: list[Section] = []
@@ -111,7 +111,7 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
 
 
 def found_section(sections: Sequence[Section]) -> Section:
-    """Return the first section of the report: main findings of the other sections.
+    """Return the first section of the report, which lists the main findings.
 
     The last sentence states how many results agree with the published results.
     """
@@ -146,7 +146,7 @@ def _agreement(sections: Sequence[Section]) -> str:
 
 
 def _overview(folder: StudyFolder) -> Section:
-    """Report tasks and scenes, numbers of trials, and reasons of failures."""
+    """Report the tasks, their scenes, the numbers of trials, and the reasons for failures."""
     plan = folder.plan()
     kept = list(folder.trials())
     counts = Counter((trial.key.task, trial.key.group) for trial in kept)
@@ -206,7 +206,7 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
     folder
         Folder of the study.
     tests
-        Report sections on hypothesis tests. Empty if nothing is compared.
+        Report sections on hypothesis tests. Empty if the study has no tests.
     """
     plan = folder.plan()
     kept = list(folder.trials())
@@ -236,7 +236,7 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
 
 
 def _plans(folder: StudyFolder) -> Iterator[Difference]:
-    """Yield registered plans that were edited, removed, or registered after the first trial."""
+    """Yield differences: plans that were edited, removed, or registered after the first trial."""
     for each in folder.registrations():
         name = str(each["file"])
         if (got := file_sha256(folder.path / name)) != each["sha256"]:
@@ -252,7 +252,7 @@ def _plans(folder: StudyFolder) -> Iterator[Difference]:
 
 
 def _trials(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Difference]:
-    """Yield trials that are missing, failed or were never planned."""
+    """Yield differences: trials that are missing, failed, or were never planned."""
     keys = list(plan.all_trials())
     held = {trial.key for trial in kept}
     for group in plan.groups:
@@ -276,7 +276,7 @@ def _trials(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Diff
 
 
 def _origins(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Difference]:
-    """Yield trials with changed files, another seed or no registered plan, and changed code."""
+    """Yield differences: trials with an edited file, a wrong seed, or changed code."""
     plans = {str(each["sha256"]) for each in folder.registrations()}
     for kind, what, names in (
         (
@@ -311,7 +311,7 @@ def _origins(folder: StudyFolder, plan: Plan, kept: list[Trial]) -> Iterator[Dif
 
 
 def _tests(folder: StudyFolder, tests: Sequence[Section]) -> Iterator[Difference]:
-    """Yield planned tests that were not made, unplanned tests, and methods left out of tests."""
+    """Yield differences: tests not made, unplanned tests, and methods omitted from tests."""
     try:
         plan = tomllib.loads(
             (folder.path / str(folder.registrations()[-1]["file"])).read_text("utf-8")

@@ -54,7 +54,7 @@ CHOSEN_AFTER: tuple[tuple[str, tuple[str, ...]], ...] = (
         ("reaming",),
     ),
 )
-"""Choices in the study that were made after results of earlier versions of the study were known.
+"""Choices of the study's design that were made after results of earlier studies were known.
 
 Each has the tasks that it concerns. No other such choices are known.
 """
@@ -62,7 +62,7 @@ Each has the tasks that it concerns. No other such choices are known.
 
 @dataclass(frozen=True)
 class Figure:
-    """Published mean and standard deviation.
+    """Published result: mean and standard deviation.
 
     The standard deviation is zero if none was published.
     """
@@ -86,20 +86,20 @@ FORCE_ERROR = {
 }
 """Published normalised L2 errors of the force [%], by task and method.
 
-The paper calls the three methods raw, Koopman-adjusted and perceptual.
+In the paper, the three methods are named raw, Koopman-adjusted and perceptual.
 """
 POSITION_ERROR_MM = {"T1": Figure(0.71, 0.12), "T2": Figure(0.63, 0.10), "T3": Figure(0.85, 0.15)}
 """Published position errors [mm], by task."""
 CASES = {"reaming_rms_N": Figure(2.5), "torque_step_Nm": Figure(0.08)}
-"""Published results of the case studies.
+"""Published results of the case studies, keyed by metric.
 
 The published error of reaming is an upper bound.
 """
 
 ROUNDED = 0.05
-"""Relative tolerance of a published value without a standard deviation.
+"""Relative tolerance for agreement with a published value without a standard deviation.
 
-It covers the rounding to two digits.
+The tolerance covers the rounding to two digits.
 """
 
 
@@ -112,7 +112,7 @@ class Section:
     name
         Short name. The CSV file of the table has this name too.
     title
-        Title for the reader.
+        Title in the report.
     sentences
         Sentences with the findings, computed from the data.
     table
@@ -120,7 +120,7 @@ class Section:
     picture
         PNG picture. May be empty.
     headline
-        Main finding in one sentence, for the first section of the report.
+        Main finding in one sentence, which the first section of the report repeats.
     """
 
     name: str
@@ -175,14 +175,14 @@ def _agreement(ours: Array, paper: Figure) -> str:
 
 
 def against(ours: Array, paper: Figure | None, unit: str) -> dict[str, str]:
-    """Return table entries with a published value and the agreement; empty without a value."""
+    """Return table entries with a published value and the agreement; empty if `paper` is None."""
     if paper is None:
         return {}
     return {f"paper {unit}": str(paper), "against paper": _agreement(ours, paper)}
 
 
 def published(task: str, figure: Figure | None) -> Figure | None:
-    """Return a published value of a task, or None if the task in the paper differs from it."""
+    """Return a published value; None if the task in the paper differs from the task here."""
     return None if TASKS[task].differs else figure
 
 
@@ -204,7 +204,7 @@ def parts_of(table: TrialTable) -> dict[tuple[str, str], TrialTable]:
 
 
 def interval_by_users(table: TrialTable, metric: str) -> Interval:
-    """Return the mean of a metric over the means of users, with its 95 % interval."""
+    """Return the mean of the users' means of a metric, with its 95 % interval."""
     _, person = np.unique(table.people(), return_inverse=True)
     means = np.bincount(person, table.values(metric)) / np.bincount(person)
     return signed_interval(means)

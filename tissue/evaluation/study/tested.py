@@ -1,6 +1,6 @@
-"""Report sections on hypothesis tests and other statistics of a study.
+"""Report sections of a study: hypothesis tests and other statistics.
 
-The sections contain tests, effect sizes, the composite index, a regression and the power.
+Other statistics are effect sizes, a composite index, a regression and the power of the tests.
 """
 
 from collections import Counter
@@ -25,17 +25,17 @@ from tissue.evaluation.study.plan import COMPARED, DIRECTIONS, USERS
 from tissue.evaluation.study.section import Section, drawing, image, methods_of, tasks_of
 
 LOOSE = 0.06
-"""Rate of false alarms above which the report calls a test with a level of 5 % too liberal.
+"""Rate of false alarms above which a test with a level of 5 % is called too liberal.
 
-For the tests that decide, a rate of (5 ± 1) % is accepted on data like those of a study
+For sign-flip tests, a rate of (5 ± 1) % is accepted in simulated studies
 (`tests/bench/bench_null.py`).
 """
 Outcome = tuple[str, HypothesisTest]
-"""Name of a task, or "all" for all tasks together, and a test."""
+"""Hypothesis test with the name of its task ("all" for all tasks together)."""
 
 
 def statistics_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]:
-    """Return the sections on statistics, or a section with the reason why nothing can be tested."""
+    """Return the sections on statistics, or one section with the reason for no tests."""
     try:
         sections = tests_sections(table, rng)
     except InputError as error:
@@ -102,10 +102,10 @@ def tests_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]
 
 
 def _distinct(table: TrialTable, metrics: Sequence[str]) -> tuple[TrialTable, list[str]]:
-    """Return trials without methods that give the same values of a metric as an earlier method.
+    """Return the trials without methods that have the same results as an earlier method.
 
-    The differences between two such methods do not vary, so they cannot be tested. A sentence on
-    each omitted method is returned too.
+    Two methods have the same results if a metric is equal in all trials; their difference cannot be
+    tested. A sentence for each omitted method is returned too.
     """
     kept: list[str] = []
     left_out = []
@@ -124,7 +124,7 @@ def _distinct(table: TrialTable, metrics: Sequence[str]) -> tuple[TrialTable, li
 
 
 def _equal(table: TrialTable, metric: str, one: str, other: str) -> bool:
-    """Return whether a metric is equal under two methods, to 0.1 % of its standard deviation."""
+    """Return whether two methods have the same metric in all trials."""
     first, second = (table.where(method=each).values(metric) for each in (one, other))
     both = np.isfinite(first) & np.isfinite(second)
     return bool((np.abs(first - second)[both] <= 1e-3 * first[both].std()).all())
@@ -174,7 +174,7 @@ def _outcomes(outcomes: Sequence[Outcome], remarks: Sequence[str]) -> Section:
 
 
 def _pairs(found: Sequence[MetricComparison]) -> Section:
-    """List the tests of all pairs by sign flips and by Tukey's test, and effect sizes."""
+    """List sign-flip tests, Tukey's tests and effect sizes of all pairs."""
     rows = [
         {
             "task": each.task,
@@ -261,7 +261,7 @@ def _assumptions(outcomes: Sequence[Outcome]) -> Section:
 
 
 Content = tuple[list[str], list[dict[str, str]]]
-"""Sentences of a section, and rows of its table."""
+"""Content of a report section: sentences, and rows of a table."""
 
 
 def _interval(effect: Effect, form: str) -> dict[str, str]:
@@ -286,7 +286,7 @@ def _composite(table: TrialTable, rng: np.random.Generator) -> Content:
 
 
 def _regression(table: TrialTable, rng: np.random.Generator) -> Content:
-    """Report the regression of the position error on force error and latency, by task."""
+    """Report, for each task, a regression of position error on force error and latency."""
     rows = []
     remarks = []
     for task in tasks_of(table):
@@ -302,7 +302,7 @@ def _regression(table: TrialTable, rng: np.random.Generator) -> Content:
 
 
 def _power(table: TrialTable, rng: np.random.Generator) -> Content:
-    """Report the error rates of the tests by task and question, estimated with resampled users."""
+    """Report error rates of the tests, estimated with resampled users, by task and question."""
     rows = []
     remarks = [
         "The rates are of tests at 5 %, with people drawn again from this study, for the force "

@@ -1,6 +1,6 @@
 """Trial of a study and its metrics.
 
-Person, specimen and random numbers are the same with every method.
+In a trial, all methods are run with the same person, specimen and random numbers.
 """
 
 import re
@@ -42,9 +42,10 @@ Row = dict[str, str | float]
 
 PACE_SPREAD = 0.15
 WITHIN_SPREAD = 0.05
-"""Standard deviation of the logarithm of pace between trials of one person (assumed).
+"""Standard deviation, between trials of a person, of the logarithm of the pace (assumed).
 
-`PACE_SPREAD` is the standard deviation between people (assumed too).
+The pace is a factor on the speed of the hand. `PACE_SPREAD` is the standard deviation between
+people (assumed too).
 """
 NUMBERS = 24
 """Number of forces that a person rates in the calibration: the default of a calibration session."""
@@ -53,7 +54,7 @@ NUMBERS = 24
 @suggests_arguments
 @dataclass(frozen=True)
 class Trial:
-    """Result of a trial.
+    """Result of a trial under all methods of a study.
 
     Attributes
     ----------
@@ -66,10 +67,10 @@ class Trial:
     took_s
         Wall time of the trial [s].
     plan_sha256, code_sha256
-        Hashes of the registered plan and of the code with which the trial was run, as recorded in
-        its file.
+        Hashes of the registered plan and of the code with which the trial was run.
     whole
-        False if the content of the file differs from its recorded hash.
+        False if the file of the trial was edited, so that its content does not have the recorded
+        hash.
     """
 
     key: TrialKey
@@ -86,7 +87,7 @@ class Trial:
         return any("failure" in row for row in self.rows)
 
     def values(self, metric: str) -> dict[str, float]:
-        """Return a metric by name of the method, without methods that have no such metric."""
+        """Return the value of a metric for each method that has it, keyed by method."""
         return {str(row["method"]): float(row[metric]) for row in self.rows if metric in row}
 
 
@@ -97,16 +98,16 @@ class TrialScene:
     Attributes
     ----------
     scenes
-        Scene for each method. All scenes have the same coupling stiffness: the smallest of the
-        stiffnesses chosen for the methods. This stiffness is stable with all methods, so the forces
-        of the methods can be compared.
+        Scene for each method. All scenes have the same coupling stiffness, which is stable with all
+        methods. The forces of the methods can therefore be compared.
     specimen
         Number of the specimen.
     person
-        Person of the trial, with the true perceptual parameters. A method that scales the force for
-        the person uses only the calibrated parameters of this person.
+        Person of the trial, with the true perceptual parameters. Methods use only the parameters
+        that a calibration estimates.
     pace
-        Factor on the speed along the path, or on the rate of increase of a pushing force.
+        Factor on the speed of the hand along its path, or on the rate at which a pushing force
+        increases.
     """
 
     scenes: Mapping[str, Scene]
@@ -137,7 +138,7 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
 
 
 def failures_of(trials: Iterable[Trial]) -> dict[str, list[str]]:
-    """Return the names of failed trials, by the method with the reason of the failure.
+    """Return the names of failed trials, keyed by a text of method and failure.
 
     Reasons that differ only in the time of the failure count as equal.
     """
@@ -202,10 +203,10 @@ def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
 # the cache size limits the memory; a scene that was dropped is computed again with the same result
 @lru_cache(maxsize=64)
 def _force_scale(scene: Scene) -> float:
-    """Return the force scale that is chosen for a scene on the device of the study.
+    """Return the force scale that is automatically chosen for a scene with the study's device.
 
-    A trial uses the smallest scale of all specimens of its task. With a separate scale for each
-    specimen, all specimens would feel the same.
+    A trial uses the smallest force scale of all specimens of its task. With a separate scale for
+    each specimen, differences between the specimens could not be felt.
     """
     return chosen_scale(changed(scene, {"device": "touch"}))[0]
 
@@ -217,11 +218,9 @@ def _all_specimens(task: str) -> list[Scene]:
 
 
 def _stiffness_N_m(scene: Scene) -> int:
-    """Return the coupling stiffness that is chosen for a scene [N/m], rounded down.
+    """Return the coupling stiffness [N/m] that is automatically chosen for a scene.
 
-    The search for the critical stiffness is cached, because the result does not depend on specimen,
-    seed, pace and person. If the force is scaled for a person, the cached result is divided by a
-    factor of the scaling.
+    The value is rounded down.
     """
     return floor(judged_loop(loop_settings(scene)).stiffness_N_m)
 
@@ -229,7 +228,8 @@ def _stiffness_N_m(scene: Scene) -> int:
 def _calibrated(key: TrialKey, rng: np.random.Generator) -> tuple[Observer, Observer]:
     """Draw a person; return the true parameters and their estimates by a calibration.
 
-    The calibration estimates Stevens' law from rated forces. All other parameters are exact.
+    The calibration estimates the parameters of Stevens' law from rated forces. All other parameters
+    keep their true values.
     """
     drawn = draw_observers(key.group, 1, rng)
     name = f"{key.group} {key.user}"

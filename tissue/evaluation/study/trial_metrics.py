@@ -17,17 +17,17 @@ from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S
 
 ARRIVED_MM = 2.0
-"""Largest distance of the device from the end of the path at which a task counts as done [mm].
+"""Distance [mm] of the device from the end of the path below which a task counts as done.
 
-The distance is not zero, because a trembling hand does not stay exactly at the end.
+A trembling hand does not stay exactly at the end.
 """
 LEAST_N = 1e-3
 """Smallest force that can be felt [N].
 
-Smaller forces are replaced by this force before a logarithm is taken.
+Smaller forces are replaced by this value before a logarithm is computed.
 """
 TOUCHES = 0.05
-"""Fraction of the largest force in a trial above which a tick counts as contact.
+"""Ratio of a tick's force to the trial's largest force above which the tick counts as contact.
 
 Ticks with smaller forces are ignored, because ratios of forces are not meaningful at the beginning
 and the end of a contact.
@@ -103,12 +103,11 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
 
 
 def _pierced(run: Run) -> dict[str, float]:
-    """Return the travel of a needle after the puncture of the capsule, and forces at the skin.
+    """Return the needle's travel after the puncture of a capsule, and forces at the skin.
 
     The forces are means over `WINDOW_S` before and after the puncture. If the person does not
-    notice the puncture, the trial does not fail, and ``noticed`` is 0. The travel is then the
-    travel until the end of the trial, which is a lower bound. If the hand stops before the
-    puncture, InputError is raised.
+    notice the puncture, ``noticed`` is 0, and the travel until the end of the run is returned.
+    Raises InputError if the hand stops before the puncture.
     """
     puncture = next((time for time, what in run.events if "capsule" in what), inf)
     noticed = next((time for time, what in run.events if what == NOTICED), inf)
@@ -131,7 +130,7 @@ def _pierced(run: Run) -> dict[str, float]:
 
 
 def _reamed(run: Run, touching: Flags) -> dict[str, float]:
-    """Return mean and scatter of the torque of a reamer in contact [N m]."""
+    """Return mean and scatter of a reamer's torque [N m] over the ticks in contact."""
     torque = np.abs(run.trace["model_torque_z_Nm"][:-1][touching])
     windows = [
         part.mean()
@@ -143,21 +142,21 @@ def _reamed(run: Run, touching: Flags) -> dict[str, float]:
 def intensity_ratios(
     skin_N: Array, nearest_N: Array, ideal_N: Array, person: Observer
 ) -> dict[str, float]:
-    """Return the errors of intensity ratios for the played force and three comparison forces.
+    """Return the errors of perceived intensity ratios for the applied and three other forces.
 
     The error is the standard deviation of ln S(F) - ln S_ref(F_ideal) over windows of 0.1 s that
     lie entirely in contact. S is the intensity that the person perceives by Stevens' law, and S_ref
-    the intensity that the reference observer perceives. The exponents are the true exponents. An
-    error of 0.1 is a ratio error of a tenth, and 0 is perfect. A common factor has no effect,
-    because it cannot be separated from a person's use of numbers.
+    the intensity that the reference observer perceives. An error of 0.1 means that ratios of
+    perceived intensities are wrong by a tenth. A constant factor on the force has no effect on the
+    error.
 
     Returns
     -------
     dict
         Errors of four forces. ``ratio_error`` is the error of the force at the skin.
-        ``ratio_floor`` is that of a perfect force through the same encoder steps, felt by the
-        reference observer. ``ratio_unscaled`` is that of the ideal force, felt by this person.
-        ``ratio_silent`` is that of a constant force.
+        ``ratio_floor`` is the error of a perfect force through the same encoder steps, felt by the
+        reference observer. ``ratio_unscaled`` is the error of the ideal force, felt by the person.
+        ``ratio_silent`` is the error of a constant force.
     """
     count = max(len(ideal_N) // round(WINDOW_S / TICK_S), 1)
     sizes = np.linalg.norm(ideal_N, axis=1)

@@ -1,4 +1,4 @@
-"""Still pictures of a run."""
+"""Pictures of a run: functions that draw its results into files."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,8 +19,8 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
     - ``bone_before_after`` for a tissue of voxels,
     - ``section`` and ``force_depth`` for a rotating tool in voxels of several layers, if the
       tissue, such as a tooth, adds its own values to the trace,
-    - ``section`` also for a scene with structures to keep clear of,
-    - ``press`` and ``held`` for a run with fields, such as the displacement of an organ,
+    - ``section`` also for a scene with protected structures (scene key ``keep_clear``),
+    - ``press`` and ``held`` for a run with computed fields, such as the displacement of an organ,
     - ``played`` for a run with a device,
     - pictures that the registry of anatomies adds, such as ``insertion``.
 

@@ -1,4 +1,4 @@
-"""Figures of an uncertainty band: loads over time, and Sobol indices."""
+"""Figures of the uncertainty of a run's loads: bands over time, and Sobol indices."""
 
 import re
 from collections.abc import Mapping
@@ -23,14 +23,13 @@ if TYPE_CHECKING:
 
 OUTER = 0.22
 INNER = 0.4
-"""Opacity of the 90 % band, and of the 50 % band on top of it."""
+"""Opacity of the 50 % band, which is drawn on top of the 90 % band with `OUTER`."""
 FIRST = "#0072B2"
 TOTAL = "#E69F00"
 SHOWN = 8
-"""Largest number of constants in a bar chart.
+"""Largest number of constants in a bar chart of Sobol indices.
 
-The chart states the number of constants that are left out. These constants have the smallest Sobol
-indices.
+The constants with the smallest indices are left out, and the chart states their number.
 """
 UNIT = re.compile(r"(_(N|Nm|[mu]?m[23]?|m?s|kg|kgK|[kMG]Pa|Hz|J|W|mK|rad))+$")
 """Pattern of the unit at the end of the name of a constant."""
@@ -44,7 +43,7 @@ WORDS = {
 
 @styled
 def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, title: str) -> None:
-    """Draw force and torque over time with their uncertainty bands.
+    """Draw force and torque on the tool over time with their uncertainty bands.
 
     Magnitude and components are drawn in separate panels. Torque is left out if it is zero.
 
@@ -111,14 +110,13 @@ def draw_sobol(
 ) -> None:
     """Draw first-order and total Sobol indices with 90 % intervals.
 
-    The picture has one panel for each number of the run's summary that has indices, such as the
-    peak force.
+    The picture has one panel for each result of a run that has indices, such as the peak force.
 
     Parameters
     ----------
     indices
-        Values ``first``, ``first_90``, ``total`` and ``total_90`` of each number of the summary and
-        each constant, as in ``summary.json``. An example is ``indices[number][constant]["first"]``.
+        Sobol indices as in ``summary.json``. ``indices[result][constant]`` has the entries
+        ``first``, ``first_90``, ``total`` and ``total_90``.
     path
         File to write.
     title
@@ -183,7 +181,7 @@ def _bars(axes: "Axes", rows: list[Mapping[str, Any]]) -> None:
 
 
 def _label(group: str) -> str:
-    """Return the names of constants without table and unit, one per line."""
+    """Return the names of a group of constants, one per line, without table and unit."""
     lines = []
     for name in group.split(" + "):
         table, *material, constant = name.split(".")

@@ -43,31 +43,31 @@ if TYPE_CHECKING:
 Plane = tuple[int, float]
 """World axis perpendicular to a plane, and the coordinate of the plane [mm]."""
 HEIGHTS_PX = 64, 170
-"""Heights above and below the renderings [pixels]."""
+"""Heights of the margins above and below the renderings [pixels]."""
 TILT_DEG = (36.0, 12.0)
 OPENED_DEG = (58.0, 12.0)
-"""Angles of the view from the tool's axis (downwards, sideways), for a bone that is cut open.
+"""Angles of the view to the tool's axis, downwards and sideways, for a bone drawn cut open.
 
-`TILT_DEG` has the angles for a whole bone.
+`TILT_DEG` has the angles for a bone that is drawn whole.
 """
 DEEP = 0.5
-"""Ratio of a cut's depth to its shorter side above which the bone is drawn opened.
+"""Ratio of a cut's depth to its smaller width above which the bone is drawn cut open.
 
-The bottom of such a cut is not visible from the side of the tool.
+The bottom of a deeper cut is not visible from the side of the tool.
 """
 UNCUT = 0.02
 """Removed depth, relative to the deepest cut, below which bone counts as uncut."""
 CUT_OUT = (0.82, 0.82, 0.85)
-"""Colour of faces at the end of the simulated region; the bone continues beyond these faces."""
+"""Colour of the faces at which the simulated region ends, but not the bone."""
 WIDEST_ARC = 0.4
-"""Largest width of the arrow around the tool's axis, relative to the height of the picture."""
+"""Largest width of the arrow for the tool's rotation, relative to the picture's height."""
 
 
 def draw_before_after(run: Run, path: Path) -> str | None:
     """Draw the bone before the run, coloured by layer, and after it, coloured by removed depth.
 
-    Both pictures have the same camera. For a deep and narrow cut, only the half of the bone behind
-    the deepest point is drawn.
+    Both pictures have the same camera. If a cut is deep and narrow, the bone is drawn cut open at
+    the deepest point.
 
     Returns
     -------
@@ -144,9 +144,9 @@ def draw_before_after(run: Run, path: Path) -> str | None:
 
 
 def _opened(run: Run, depth: DepthMap) -> tuple[VoxelVolume, Bytes, Plane | None]:
-    """Return the bone before and after a run, and the plane at which it is cut open.
+    """Return the bone before and after a run, and the plane at which it is drawn cut open.
 
-    The plane is None for a whole bone, whose cut is visible from the side of the tool.
+    The plane is None if the bone is drawn whole.
     """
     volume = run.volume
     cut = np.argwhere(depth.depth_mm > 0.0)
@@ -164,7 +164,7 @@ def _opened(run: Run, depth: DepthMap) -> tuple[VoxelVolume, Bytes, Plane | None
 def _camera(surface: "pyvista.PolyData", depth: DepthMap, plane: Plane | None) -> Camera:
     """Return a tilted camera that sees the whole surface from the tool's side.
 
-    For an opened bone, the camera is in front of the plane.
+    If the bone is cut open, the camera is in front of the plane.
     """
     out = depth.outward * np.eye(3)[depth.axis]
     up = np.eye(3)[depth.across[1] if plane is None else plane[0]]
@@ -190,7 +190,8 @@ def _in_plane(surface: "pyvista.PolyData", plane: Plane | None, spacing_mm: floa
 def _draw_spin(axes: "Axes", run: Run, camera: Camera) -> None:
     """Draw the sense of the tool's rotation at its first contact.
 
-    The arc is as wide as the tool, if there is enough space.
+    The rotation is drawn as an arrow along an arc, which is as wide as the tool if there is enough
+    space.
     """
     tool = run.scene.tool
     assert isinstance(tool, Tool)

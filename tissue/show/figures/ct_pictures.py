@@ -1,4 +1,4 @@
-"""Figures of a CT import: slices, histogram, bone, organ and the depth of a path."""
+"""Figures of an imported CT: slices, histogram, bone, organ and depth of a tool path."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -27,9 +27,10 @@ if TYPE_CHECKING:
 
 BONE_HU = (-200.0, 1300.0)
 SOFT_HU = (-160.0, 240.0)
-"""Hounsfield units that are shown as black and as white, for bone and for soft tissue.
+"""CT values [HU] shown as black and as white in pictures of soft tissue.
 
-The first range covers fat to cortical bone. The second range is the usual abdominal window.
+This is the usual abdominal window. `BONE_HU` is the range for pictures of bone, from fat to
+cortical bone.
 """
 VIEWS = ((0, 1, 2, "axial"), (0, 2, 1, "coronal"), (1, 2, 0, "sagittal"))
 """For each slice: axes to the right and upward, axis perpendicular to the slice, and name."""
@@ -40,24 +41,27 @@ PATH = "#CC79A7"
 OTHERS = ("#56B4E9", "#009E73", "#F0E442", "#0072B2")
 """Colours of outlines after Okabe and Ito (2008)."""
 LINES = ("solid", "dashed", "dotted")
-"""Line styles of the outlines. The next style is used after all colours."""
+"""Line styles of outlines. After all colours were used, the next line style is taken."""
 NORMAL_MM = 12.0
-"""Length of the arrow along the normal [mm]; it is visible in slices of a joint."""
+"""Length [mm] of the arrow that shows the normal of the bone's surface in CT slices.
+
+An arrow of this length is visible in slices of a joint.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Marks:
-    """Site and toolpath to mark in pictures of a bone.
+    """Tool site and tool path to mark in pictures of a bone.
 
     Attributes
     ----------
     centre_mm
-        Position of the site [mm, LPS]. Without a site, a point through which the slices are drawn,
-        such as the middle of the bone; None if there is no such point.
+        Position [mm, LPS] of the site where the tool works. Without a site, the point at which
+        slices intersect, such as the middle of the bone; None if there is no such point.
     normal
-        Outward direction at the site; None if there is no site.
+        Outward normal of the bone's surface at the site; None if there is no site.
     points_mm
-        Corners of a path [mm, LPS], shape (n, 3); None if there is no path.
+        Corners of the tool path [mm, LPS], shape (n, 3); None if there is no path.
     """
 
     centre_mm: Array | None
@@ -109,14 +113,14 @@ def draw_ct_slices(
     Parameters
     ----------
     image
-        Grey values around the bone.
+        CT image of the region around the bone.
     outlines
         Surface [mm, LPS] of each structure to outline, keyed by name; the bone comes first.
     marks
         Site and path to mark. The slices intersect at `marks.centre_mm`.
     window_HU
-        Hounsfield units that are drawn black and white. An image in other units uses the range of
-        its own values.
+        CT values [HU] that are drawn black and white. For an image in other units, the range of its
+        own values is used.
     """
     from matplotlib.collections import LineCollection
     from matplotlib.lines import Line2D
@@ -191,21 +195,20 @@ def outline_of(image: Image, mask: Flags) -> "pyvista.PolyData":
 
 
 AROUND_ORGAN_MM = 10.0
-"""Width of the surroundings of an organ that are shown [mm]."""
+"""Width [mm] of the surroundings that are shown around an organ."""
 
 
 def draw_ct_organ(image: Image, path: Path, *, masks: Mapping[str, Flags], mesh: TetMesh) -> None:
-    """Draw slices through the middle of the smallest part of an organ, with outlines.
+    """Draw CT slices through the middle of an organ's smallest part, with outlines.
 
-    The outlines show the mesh of the organ and the labels of its parts.
+    The outlines show the mesh of the organ and the segmented parts of the organ.
 
     Parameters
     ----------
     masks
-        Mask of the organ and of each of its parts, same shape as `image.values`, keyed by name; the
-        organ comes first.
+        Masks with the shape of `image.values`, keyed by name: first the organ, then its parts.
     mesh
-        Tetrahedra of the organ in the frame of the image.
+        Tetrahedral mesh of the organ in the frame of the image.
     """
     organ, *parts = masks
     nodes_mm = 1e3 * mesh.nodes_m
@@ -229,22 +232,21 @@ def middle_of(image: Image, mask: Flags) -> Array:
 HEAD_PX = 110
 FOOT_PX = 150
 AXES_PX = 150
-"""Heights above and below the renderings, and size of the small axes [pixels]."""
+"""Width and height [pixels] of the small coordinate axes below the renderings."""
 UNDER_MM = 2.0
-"""Depth below the surface at which the shown density is read [mm].
+"""Depth [mm] below the surface of the bone at which the shown density is read.
 
-Voxels at the surface contain some tissue from outside the bone, so their density is too low.
+At the surface itself, the density is too low, because voxels are partly outside the bone.
 """
 DENSITIES = (0.0, 1800.0)
-"""Range of the colours of density, up to dense cortical bone [kg/m3]."""
+"""Range of densities that the colours show [kg/m3], up to dense cortical bone."""
 COLOURS = "YlGnBu"
-"""Colour map in which sparse bone is light, so that shading stays visible.
+"""Matplotlib colour map of density. Low densities are light, so that shading is visible.
 
 Colour-blind readers can distinguish the colours.
 """
 FRONT = (0.3, -1.0, 0.25)
-"""Direction to the eye for a bone without a site: the view is from the patient's front, left and
-above.
+"""Direction from the bone to the camera if no site is given: the patient's front, left and above.
 """
 
 
@@ -258,10 +260,10 @@ def draw_ct_bone(
     surface
         Surface of the bone, in the frame of the image.
     marks
-        Site and path.
+        Tool site and tool path to mark.
     density
-        Image of the apparent density [kg/m3], which colours the bone. None if the density is not
-        known.
+        Image of the apparent density [kg/m3], which determines the colours of the bone. None if the
+        density is not known.
 
     Returns
     -------
@@ -296,7 +298,7 @@ def draw_ct_bone(
 
 
 def _eyes(normal: Array | None) -> dict[str, tuple[Array, Array]]:
-    """Return the directions to the eye and upward for each panel, keyed by title."""
+    """Return the direction to the camera and the upward direction of each panel, keyed by title."""
     head = np.array([0.0, 0.0, 1.0])
     if normal is None:
         front = np.array(FRONT)
@@ -310,7 +312,7 @@ def _eyes(normal: Array | None) -> dict[str, tuple[Array, Array]]:
 
 
 def _painted(surface: Surface, density: Image | None) -> "pyvista.PolyData":
-    """Return the bone; the colour of each point shows the density below the point."""
+    """Return the surface of a bone, coloured by the density below each point."""
     from matplotlib import colormaps
     from scipy.ndimage import map_coordinates
 
@@ -328,7 +330,7 @@ def _painted(surface: Surface, density: Image | None) -> "pyvista.PolyData":
 
 @styled
 def draw_path_depth(found: PathDepth, path: Path, *, title: str) -> None:
-    """Draw the depth of a path below the surface of a bone over the length of the path."""
+    """Draw the depth of a tool path below a bone's surface against the length of the path."""
     chart, (axes,) = panelled(title, (6.4, 3.0))
     steps_mm = np.linalg.norm(np.diff(found.points_mm, axis=0), axis=1)
     along_mm = np.concatenate([[0.0], np.cumsum(steps_mm)])
@@ -345,12 +347,12 @@ ALL = "0.6"
 INSIDE = "#E69F00"
 LEVEL = "#D55E00"
 BINS = 160
-"""Number of edges of the bins of the histogram.
+"""Number of bin edges of the histogram of CT values.
 
 A bin is 20 HU wide, which is about the noise of a CT.
 """
 RANGE_HU = (-1100.0, 2200.0)
-"""Range of the histogram, from air to dense cortical bone; metal is left out."""
+"""Range of the histogram of CT values [HU], from air to dense cortical bone, without metal."""
 
 
 @styled
@@ -363,7 +365,7 @@ def draw_ct_histogram(
     law: DensityLaw | None,
     title: str,
 ) -> None:
-    """Draw the histogram of an image to a file.
+    """Draw the histogram of a CT image to a file.
 
     Parameters
     ----------
@@ -372,9 +374,9 @@ def draw_ct_histogram(
     inside
         Values of the voxels inside the bone.
     threshold
-        Value above which a voxel is bone; None if a label defines the bone.
+        Value above which a voxel counts as bone; None if the bone was segmented by a label.
     law
-        Law for the density as a function of the voxel value; None if no law is known.
+        Density as a function of the voxel value; None if this function is not known.
     """
     values = histogram.values
     low = max(RANGE_HU[0], float(values[0]))

@@ -1,4 +1,4 @@
-"""Style of all figures: matplotlib settings, panels, colours, axis names, outlines and files."""
+"""Common style of all figures: matplotlib settings, panels, colours and files."""
 
 from collections.abc import Callable, Iterable
 from functools import wraps
@@ -26,9 +26,9 @@ T = TypeVar("T")
 DPI = 200
 """Pixels per inch of a PNG picture, for sharp pictures on screens and in documents."""
 VECTOR_DPI = 2 * DPI
-"""Pixels per inch of raster parts in SVG and PDF.
+"""Pixels per inch of images and renderings in SVG and PDF files.
 
-Raster parts are all parts except lines and text. The value is the resolution of a rendering; see
+Lines and text are vectors. The value is the resolution of the renderings in
 `tissue.show.figures.rendering`.
 """
 STYLE: "dict[RcKeyType, float]" = {
@@ -44,7 +44,7 @@ STYLE: "dict[RcKeyType, float]" = {
 
 
 def styled(draw: Callable[P, T]) -> Callable[P, T]:
-    """Decorate a drawing function so that it uses the matplotlib settings of all figures."""
+    """Decorate a drawing function so that it uses the common matplotlib settings."""
 
     @wraps(draw)
     def drawn(*arguments: P.args, **options: P.kwargs) -> T:
@@ -74,7 +74,7 @@ def panelled(
     layout: Literal["constrained", "compressed"] = "constrained",
     **options: Any,
 ) -> "tuple[Figure, NDArray[np.object_]]":
-    """Return a figure with a title, and the array of its panels in order of rows.
+    """Return a figure with a title, and its panels as an array of axes.
 
     Parameters
     ----------
@@ -140,8 +140,8 @@ def plain(panels: "Iterable[Axes]") -> None:
 def plain_numbers(axis: "Axis") -> None:
     """Label a logarithmic axis with plain numbers, such as 100 instead of 10^2.
 
-    An axis over more than about three decades has labels only at 1, 10, 100 and so on. A shorter
-    axis also has labels at 2, 5, 20, 50 and so on.
+    An axis that spans more than about three decades is labelled only at 1, 10, 100 and so on. Other
+    axes are also labelled at 2, 5, 20, 50 and so on.
     """
     from matplotlib.ticker import LogLocator
 
@@ -153,7 +153,7 @@ def plain_numbers(axis: "Axis") -> None:
 
 
 EDGE: dict[str, Any] = {"edgecolor": "0.3", "linewidth": 0.5}
-"""Edge of a patch in a legend."""
+"""Matplotlib properties for the edge of a colour patch in a legend."""
 BONE = (0.93, 0.89, 0.81)
 """Colour of bone that was not cut."""
 LAYERS = {
@@ -174,20 +174,21 @@ DEPTH_COLOURS = "viridis"
 SIGNED = "coolwarm"
 STRESS = "magma_r"
 OTHER = "YlGnBu"
-"""Colour maps of fields.
+"""Colour map of fields, such as displacement, whose values begin at 0.
 
-Small values are light, so that unloaded parts of a body are not black. Colour-blind readers can
-distinguish the colours (Moreland 2009; van der Walt and Smith 2015; Harrower and Brewer 2003).
+`STRESS` is the map for stresses, and `SIGNED` the map for values of both signs. Small values are
+light, so that unloaded parts of a body are not black. Colour-blind readers can distinguish the
+colours (Moreland 2009; van der Walt and Smith 2015; Harrower and Brewer 2003).
 """
 OTHER_LAYERS = ("#CC79A7", "#F0E442", "#0072B2", "#D55E00")
 COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
-"""Colours of layers and components after Okabe and Ito (2008).
+"""Colours of the x, y and z components of a vector, after Okabe and Ito (2008).
 
-Colour-blind readers can distinguish them.
+Colour-blind readers can distinguish the colours.
 """
 MAGNITUDE = "0.88"
 SMALL_NM = 0.02
-"""Torque [N m] below which a picture shows thousandths of a newton metre.
+"""Torque [N m] below which a picture uses the unit mN m.
 
 A reamer has a torque of 0.2 to 2 N m. A bur has a thousandth of this torque.
 """
@@ -198,7 +199,7 @@ ANATOMICAL = {"glenoid": ("anterior", "superior", "lateral")}
 def axis_names(run: "Run") -> tuple[str, ...]:
     """Return the names of the world axes, with their anatomical directions if known.
 
-    The kind of anatomy determines the directions.
+    For example, in a glenoid scene x is anterior, see `ANATOMICAL`.
     """
     meanings = ANATOMICAL.get(run.scene.anatomy.kind)
     if meanings is None:
@@ -213,9 +214,9 @@ def axis_names(run: "Run") -> tuple[str, ...]:
 
 
 def torque_unit(torque_Nm: float) -> tuple[str, float]:
-    """Return the unit in which torques up to a value are shown, and a factor.
+    """Return the unit for a picture of torques up to a largest value, and a factor.
 
-    The factor converts N m to this unit.
+    The factor converts N m to the unit.
     """
     return ("mN·m", 1e3) if torque_Nm < SMALL_NM else ("N·m", 1.0)
 
@@ -235,8 +236,8 @@ def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float
 def field_colours(low: float, high: float) -> str:
     """Return the name of the colour map for a field with a given range.
 
-    The map is for signed values if the range begins below 0. It is for stresses if the range begins
-    above 0, and for other fields if the range begins at 0.
+    A range that begins below 0 has the map `SIGNED`, a range that begins above 0 the map `STRESS`,
+    and a range that begins at 0 the map `OTHER`.
     """
     if low < 0.0:
         return SIGNED
@@ -244,7 +245,7 @@ def field_colours(low: float, high: float) -> str:
 
 
 def field_words(*names: str) -> str:
-    """Return the words that the labels of fields or columns share, and their unit.
+    """Return the common words and the unit of the labels of several fields or trace columns.
 
     An example is ``von Mises / kPa``.
     """
@@ -256,7 +257,7 @@ def field_words(*names: str) -> str:
 def depth_limit(depth: "DepthMap") -> float:
     """Return the upper end of the colour scale of removed depth [mm].
 
-    It is the largest depth in the map. If nothing was removed, it is 1 mm.
+    The upper end is the largest depth in the map, or 1 mm if nothing was removed.
     """
     cut = depth.depth_mm[depth.depth_mm > 0.0]
     # a colour scale needs a range: 1 um for rounding, and 1 mm without a cut

@@ -41,7 +41,8 @@ def deepening_rows(coordinate_mm: Array, contact: Flags) -> Ints:
     Parameters
     ----------
     coordinate_mm
-        Coordinate of the tool's tip, which increases out of the tissue [mm], shape (rows,).
+        Coordinate of the tool's tip [mm], shape (rows,), along an axis that points out of the
+        tissue.
     contact
         True where the tool touches tissue, shape (rows,).
     """
@@ -150,14 +151,14 @@ SHARES = (
     ("friction_N", "friction along the shaft", "#009E73"),
 )
 SIDE_BY_SIDE = 0.15
-"""Distance between two punctures, relative to the depth range, below which names are stacked."""
+"""Distance of two punctures, relative to the depth range, below which labels are stacked."""
 
 
 @styled
 def draw_insertion(run: Run, path: Path) -> None:
-    """Draw the axial force on a needle over tip depth and over time, with the punctures.
+    """Draw the axial force on a needle over tip depth and over time, with marked punctures.
 
-    Over time, the elastic, cutting and friction parts of the force are drawn too.
+    The panel over time also shows the elastic, cutting and friction parts of the force.
     """
     trace = run.trace
     time = trace["time_s"]
@@ -214,18 +215,18 @@ BALL = "0.1"
 DEVICE = "#D55E00"
 FORCE = "#0072B2"
 LONGEST = 0.28
-"""Length of the arrow of the largest force, relative to the height of the picture."""
+"""Length of the arrow that shows the largest force, relative to the picture's height."""
 
 
 @styled
 def draw_wall(run: Run, path: Path) -> None:
-    """Draw the paths of ball and device at a wall, and the force over the depth of the device.
+    """Draw the paths of ball and haptic device at a virtual wall, and force over depth.
 
     The upper panel shows the paths in a section perpendicular to the wall. The lower panel shows
     the force.
 
-    The ball is drawn at the time of the largest force. In a run without a device, the force is
-    drawn over the depth of the ball.
+    The depth is the device's depth in the wall or, in a run without a device, the ball's depth. The
+    ball is drawn at the time of the largest force.
     """
     from matplotlib.patches import Circle
 

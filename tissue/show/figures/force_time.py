@@ -1,4 +1,4 @@
-"""Figures over time: force and torque with events, and the force that a device played."""
+"""Figures over time: force and torque with events, and the force of a haptic device."""
 
 from pathlib import Path
 from textwrap import wrap
@@ -28,23 +28,24 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 MOST_EVENTS = 6
-"""Largest number of events that are numbered and listed below a picture; more events would need
-more height than a panel.
+"""Largest number of events that are numbered and listed below a picture.
+
+A list of more events would be higher than a panel.
 """
 FOOTNOTE_LETTERS = 92
-"""Largest number of letters in a line of 8.5 points in 7 inches; 101 letters did not fit."""
+"""Largest number of letters in a footnote line: 8.5 points in 7 inches; 101 do not fit."""
 EVENT_IN = 0.17
-"""Height of a line that describes an event [in]."""
+"""Height of a text line for an event below a picture [in]."""
 FLICKER_S = 0.02
-"""Time below which intervals and repeated events are joined with the previous one [s].
+"""Duration [s] below which intervals, or gaps between equal events, are ignored.
 
-At its start, a contact opens and closes several times within a few ticks of 1 ms. Bands of this
-width would look like stripes.
+At the start of a contact, the tool bounces within a few ticks of 1 ms. Shaded bands of this width
+would look like stripes.
 """
 
 
 def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, int, str]]:
-    """Return intervals of equal entries as (first index, index after the last entry, entry).
+    """Return runs of equal entries as (first index, index after the last entry, entry).
 
     An interval with fewer entries than `shortest` is joined with the previous interval. If the
     first interval is too short, it is joined with the next interval.
@@ -67,9 +68,9 @@ def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, 
 
 
 def joined_events(events: list[tuple[float, str]]) -> list[tuple[float, str]]:
-    """Return events (time [s], text) without repetitions of a text within `FLICKER_S`.
+    """Return events (time [s], text) without those that repeat a text within `FLICKER_S`.
 
-    Numbers in the texts are ignored in the comparison.
+    Texts that differ only in numbers count as equal.
     """
     last: dict[str, float] = {}
     found = []
@@ -135,7 +136,7 @@ def mark_events(
 
 
 COMMANDED = 0.35
-"""Opacity of the commanded quantities, which are drawn below the quantities of the model."""
+"""Opacity of commanded force and torque, drawn behind force and torque of the model."""
 
 
 @styled
@@ -179,9 +180,9 @@ def draw_force_torque(run: Run, path: Path) -> None:
 def _draw_components(
     axes: "Axes", run: Run, name: str, unit: str, scale: float, label: str
 ) -> None:
-    """Draw the components of the model in front of the commanded components.
+    """Draw a vector's model components in front of the components commanded to the device.
 
-    With the vibration of teeth, the commanded components look like wide bands.
+    With simulated vibration by the cutter's teeth, the commanded components look like wide bands.
     """
     time = run.trace["time_s"]
     commanded, model = (scale * run.trace.vectors(f"{of}{name}", unit) for of in ("", "model_"))
@@ -202,7 +203,7 @@ def _draw_components(
 
 
 def _draw_path(axes: "Axes", run: Run) -> None:
-    """Draw the tip position along the tool's axis, and shade the layer of largest contact."""
+    """Draw the tip position along the tool's axis, shaded by the layer of largest contact."""
     trace = run.trace
     time = trace["time_s"]
     turned = tool_axes(trace.quaternions())
@@ -223,9 +224,7 @@ def _draw_path(axes: "Axes", run: Run) -> None:
 
 
 MOMENT_S = 0.06
-"""Duration of the interval with the steepest change [s], in which latencies of some milliseconds
-are visible.
-"""
+"""Duration [s] of an enlarged interval, in which latencies of milliseconds are visible."""
 LINES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("model_force", "the tissue's, at the device's scale", {"color": "0.6", "linewidth": 3.0}),
     ("raw_force", "as the renderer gives it", {"color": "#0072B2", "linewidth": 1.6}),
@@ -241,9 +240,9 @@ LINES: tuple[tuple[str, str, dict[str, Any]], ...] = (
         {"color": "0.1", "linewidth": 1.0, "linestyle": (0, (4, 3))},
     ),
 )
-"""Columns, with labels and colours after Okabe and Ito (2008).
+"""Trace columns that `draw_played` draws, with labels and line properties.
 
-The lines also differ in lightness and line style.
+The colours are from Okabe and Ito (2008). The lines also differ in lightness and style.
 """
 SATURATED = "#F0E442"
 
@@ -252,7 +251,7 @@ SATURATED = "#F0E442"
 def draw_played(run: Run, path: Path) -> None:
     """Draw the forces at the device [N] and the positions of tool and device [mm] over time.
 
-    Shading marks the times at which the force is compressed into the range of the device.
+    Shading marks the times at which the force is reduced to the range of the device.
 
     A separate panel enlarges the interval with the largest change of force per millisecond in
     contact.

@@ -1,4 +1,4 @@
-"""Figures of a soft organ: under a press, and undeformed with its supports."""
+"""Figures of a soft organ: deformed by a tool, and undeformed with its supports."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -36,28 +36,26 @@ if TYPE_CHECKING:
 
 EYE = (0.25, -0.75, 0.62)
 ACROSS = (0.0, -1.0, 0.0)
-"""Directions to the eye: for the whole organ (lower than in `tissue view`), and for a section
-(perpendicular to it).
+"""Direction to the camera for the section of an organ; `EYE` is the direction for the whole organ.
 """
 TOOL = (0.72, 0.72, 0.75)
 INCLUSION = (0.337, 0.706, 0.914)
-"""Colours of the tool and of an inclusion's outline, which is visible on light and dark colours."""
+"""Colour (red, green, blue) of an inclusion's outline; `TOOL` is the colour of the tool."""
 NUDGE = (0.0, 1e-4, 0.0)
-"""Distance between a section and the tip of the tool [mm]; with it, the section does not cut a row
-of nodes.
+"""Shift of a section from the tip of the tool [mm], so that it does not pass exactly through nodes.
 """
 ABOVE = 0.2
-"""Height of the drawn part of a needle above an organ, relative to the height of the organ."""
+"""Length of a needle that is drawn above an organ, relative to the height of the organ."""
 HEIGHTS_PX = 90, 150
 """Heights above and below the renderings [pixels]."""
 
 
 def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, str]:
-    """Return the frame (saved field) of a press to draw, and a text with the reason.
+    """Return the frame (saved fields at one time) to draw, and a text with the reason.
 
-    If the organ has an inclusion, the frame is the one in which the tool is nearest to the
-    inclusion. Otherwise it is the frame with the largest displacement. If nothing was displaced,
-    the frame is None.
+    With an inclusion in the organ, the frame with the smallest distance of the tool to the
+    inclusion is returned, otherwise the frame with the largest displacement. If nothing was
+    displaced, the frame is None.
     """
     pressed = [frame for frame in series.frames if _largest(frame) > 0.0]
     if not pressed:
@@ -76,8 +74,8 @@ def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, st
 def draw_press(run: Run, path: Path) -> str | None:
     """Draw the deformed organ in the frame of `moment_of_press`, whole and cut open at the tool.
 
-    The whole organ has the colours of the displacement, and the section those of the von Mises
-    stress. Both pictures show the section along a needle, because of the needle's track.
+    The whole organ is coloured by displacement, and the section by von Mises stress. For a needle,
+    both pictures show the section along the needle.
 
     Parameters
     ----------
@@ -166,7 +164,7 @@ def draw_press(run: Run, path: Path) -> str | None:
 
 
 def _colours(name: str, values: Singles) -> "ScalarMappable":
-    """Return the mapping from values of a field to colours.
+    """Return the matplotlib object that maps the values of a field to colours.
 
     The scale is logarithmic if it begins above 0.
     """
@@ -185,7 +183,7 @@ def _cut_open(
     tip_mm: Array,
     eye: tuple[float, ...],
 ) -> "pyvista.PolyData":
-    """Return the boundary of an organ behind the tool, closed by a section with field values."""
+    """Return the part of an organ's boundary behind the tool, closed by a section."""
     origin = tuple(tip_mm + NUDGE)
     body = mesh.copy(deep=False)
     body.clear_data()
@@ -199,7 +197,7 @@ def _cut_open(
 
 
 def _outline(mesh: "pyvista.UnstructuredGrid", tip_mm: Array) -> "list[pyvista.PolyData]":
-    """Return the outline of an inclusion in the section at the tool, as a tube, if any."""
+    """Return the outline of an inclusion in the section at the tool; empty if there is none."""
     corners = np.asarray(mesh.points)[mesh.cell_connectivity.reshape(mesh.n_cells, -1)]
     inside = inclusions(corners, np.asarray(mesh.cell_data["layer"]))
     body = mesh.extract_cells(inside.tolist()).extract_surface(algorithm="dataset_surface")
@@ -226,17 +224,17 @@ MARKS = {
     "may be touched": (0.0, 0.447, 0.698),
     "held": (0.902, 0.624, 0.0),
 }
-"""Colours of the parts of a boundary."""
+"""Colours (red, green, blue) of the parts of an organ's boundary, keyed by legend text."""
 SETS = {"may be touched": "touchable", "held": "held"}
-"""Set of nodes of each marked part; a part that is listed later is drawn over earlier ones."""
+"""Name of the node set of each marked part of a boundary; later parts are drawn on top."""
 EYES = {"from above": (0.25, -0.75, 0.62), "from below": (0.25, -0.75, -0.62)}
 HELD_HEIGHTS_PX = 110, 80
 
 
 def draw_held(run: Run, path: Path) -> str | None:
-    """Draw the surface of an organ, with colours for held and for touchable parts.
+    """Draw the surface of an organ, coloured where it is fixed or can be touched by the tool.
 
-    A triangle is coloured if all its nodes are held, or if the tool can touch all its nodes.
+    A triangle is coloured if all its nodes are fixed, or if the tool can touch all its nodes.
 
     Returns
     -------

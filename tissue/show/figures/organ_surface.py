@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 SHOWN = "shown"
 """Name of the point array with the values that are drawn."""
 SHARP_DEG = 40.0
-"""Angle above which an edge is drawn sharp: edges of a block, but not edges between facets."""
+"""Angle [degrees] between two triangles above which their edge is drawn sharp."""
 
 
 def drawn_surface(mesh: "pyvista.DataSet", values: Singles) -> "pyvista.PolyData":
-    """Return the boundary of a mesh with normals that hide its facets.
+    """Return the boundary of a mesh with normals for smooth shading.
 
     Parameters
     ----------
@@ -35,9 +35,9 @@ def drawn_surface(mesh: "pyvista.DataSet", values: Singles) -> "pyvista.PolyData
 
 
 def with_normals(surface: "pyvista.PolyData") -> "pyvista.PolyData":
-    """Return a surface with normals at its points.
+    """Return a surface with normals at its points, for smooth shading.
 
-    The two sides of a sharp edge have separate points and normals.
+    At a sharp edge, the points are duplicated, so that each side has its own normals.
     """
     return surface.compute_normals(
         cell_normals=False, split_vertices=True, feature_angle=SHARP_DEG, consistent_normals=False

@@ -25,22 +25,23 @@ if TYPE_CHECKING:
 
 PANEL_PX = 780
 GAP_PX = 40
-"""Width of a panel, and of the space between two panels [pixels].
+"""Width of the space between two panels [pixels]; a panel is `PANEL_PX` wide.
 
-Two panels are 8 inches wide at 200 dpi.
+With these values, two panels are 8 inches wide at 200 dpi.
 """
 OVERSAMPLING = 2
-"""Number of rendered pixels for a pixel of the picture, along each edge.
+"""Number of rendered pixels per pixel of the picture, along each axis.
 
-Matplotlib averages them in a PNG picture, so outlines are smooth even if the graphics card does not
-smooth them. Vector files keep all of them.
+In a PNG picture, matplotlib averages the rendered pixels, so that outlines are smooth. Vector files
+contain all rendered pixels.
 """
 AMBIENT = 0.34
 FIELD_AMBIENT = 0.72
 ALL_LIGHT = 1.08
-"""Ambient light on bone and on fields, and total light including lamps.
+"""Total light on a surface: ambient light plus lamps.
 
-A field has little shade, because its colours must agree with its scale.
+The ambient part is `AMBIENT` for bone and `FIELD_AMBIENT` for fields. Fields have little shade, so
+that their colours agree with the colour bar.
 """
 
 
@@ -51,11 +52,12 @@ class Camera:
     Attributes
     ----------
     towards_eye, up
-        Directions in the world to the eye and upward in the picture, perpendicular to each other.
+        Direction to the camera, and direction that is upward in the picture, in the world frame and
+        perpendicular to each other.
     centre_mm
-        Point of the world in the middle of the picture [mm].
+        Position [mm], in the world frame, of the middle of the picture.
     height_mm
-        Height of the picture in the world [mm].
+        Height [mm] of the region that the picture shows.
     size
         Width and height [pixels].
     """
@@ -152,8 +154,8 @@ def draw_shaded(
     Parameters
     ----------
     make
-        Function that returns painted surfaces with normals, and the camera of each surface. It is
-        called once, while the drawing process starts.
+        Function that returns coloured surfaces with normals, and the camera of each surface. The
+        function is called once.
     path
         File to write.
     annotate
@@ -163,7 +165,7 @@ def draw_shaded(
     title, names
         Text above all panels, and text above each panel.
     ambient
-        Share of ambient light. A larger share gives less shade.
+        Fraction of ambient light. A larger fraction gives less shade.
 
     Returns
     -------
@@ -210,7 +212,7 @@ def draw_shaded(
 
 
 def _main(name: str, ambient: str) -> None:
-    """Render the surfaces from standard input, and write the pictures into a folder."""
+    """Read surfaces from standard input, render them, and write the pictures into a folder."""
     # pyvista is loaded while the surfaces are still being made
     import pyvista  # noqa: F401
 
@@ -258,12 +260,12 @@ LENGTHS_MM = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
 def round_length(longest_mm: float) -> float:
-    """Return the largest round length, such as 1, 2, 5 or 10 mm, that is not above a limit [mm]."""
+    """Return the largest of the round lengths 1, 2, 5, 10, ... [mm] that is not above a limit."""
     return max(step for step in LENGTHS_MM if step <= max(longest_mm, LENGTHS_MM[0]))
 
 
 def _draw_scale(axes: "Axes", camera: Camera) -> None:
-    """Draw a bar of a round length.
+    """Draw a scale bar of a round length.
 
     The bar is valid everywhere in the picture because the projection is parallel.
     """

@@ -35,15 +35,16 @@ if TYPE_CHECKING:
 
 STRESS = "von_mises_MPa"
 REMOVED_TINT = 0.28
-"""Share of the colour of a layer in the colour of removed tissue."""
+"""Fraction of a layer's colour in the pale colour for removed tissue of this layer."""
 PATH = "#CC79A7"
 """Colour of the path of the tip."""
 TOOL: dict[str, Any] = {"color": "0.1", "linewidth": 1.0, "linestyle": (0, (3, 1.5))}
 LAYERS_APART_MM = 1e4
-"""Distance between layers in the search for the nearest cell [mm], larger than every bone."""
+"""Artificial distance [mm] between layers, so that the nearest cell is in the same layer."""
 DECADES = 3.0
-"""Largest span of a logarithmic scale [decades]; over more decades, neighbouring values look the
-same.
+"""Largest span of a logarithmic colour scale [decades].
+
+With more decades, the colours of neighbouring values could not be distinguished.
 """
 
 
@@ -61,10 +62,10 @@ class Section:
     row
         Row of the trace at the shown time.
     extent_mm
-        Lowest and highest coordinate along the two axes, (u0, u1, v0, v1) [mm].
+        Lowest and highest coordinate along u and v, (u0, u1, v0, v1) [mm].
     start, left
         Filled fraction of each voxel before the first cut (`start`) and at the shown time (`left`),
-        0 to 1, shape (nu, nv). nu and nv are the numbers of voxels along the two axes.
+        0 to 1, shape (nu, nv). nu and nv are the numbers of voxels along u and v.
     layer
         Layer of each voxel, shape (nu, nv).
     """
@@ -249,8 +250,8 @@ def nearest_frame(series: FieldSeries, time_s: float) -> Frame | None:
 def moment_of(run: Run) -> tuple[int, Frame | None]:
     """Return the row of the trace and the frame of fields that the section shows.
 
-    The frame is `loaded_frame`, and the row is at its time. If no frame is loaded, the frame is
-    None and the row is the last row with contact, or the last row of the trace.
+    The frame is that of `loaded_frame`, and the row has the same time. Without stress, the frame is
+    None, and the row is the last row with contact or, without contact, the last row.
     """
     series = run.parts.fields
     frame = None if series is None else loaded_frame(series)
@@ -262,9 +263,9 @@ def moment_of(run: Run) -> tuple[int, Frame | None]:
 
 @styled
 def draw_section(run: Run, path: Path) -> None:
-    """Draw layers, removed tissue and stress in the same section at the same time.
+    """Draw layers, removed tissue and stress in a section through the tool.
 
-    Stress is drawn only if fields were computed.
+    Stress is drawn only if the run has stress fields.
     """
     series = run.parts.fields
     near = closest(run)
@@ -344,7 +345,7 @@ def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:
 
 
 def _removed(section: Section) -> Array:
-    """Return the removed content of the voxels of a section, 0 to 1, shape (nu, nv)."""
+    """Return the removed fraction of each voxel of a section, 0 to 1, shape (nu, nv)."""
     return np.where(section.start >= HALF / FULL, section.start - section.left, 0.0)
 
 
@@ -395,7 +396,7 @@ def _draw_stress(axes: "Axes", series: FieldSeries, frame: Frame, section: Secti
 def _section_stress(series: FieldSeries, frame: Frame, section: Section) -> Array:
     """Return the stress at the voxels of a section [MPa], shape (nu, nv).
 
-    Each voxel has the stress of the nearest cell of its layer.
+    A voxel gets the stress of the nearest finite-element cell in the same layer.
     """
     from scipy.spatial import cKDTree
 
@@ -442,18 +443,21 @@ def _handles(run: Run, section: Section) -> "list[Artist]":
 
 
 STRUCTURES = ("#D55E00", "#0072B2", "#009E73", "#000000")
-"""Colours of structures after Okabe and Ito (2008)."""
+"""Colours of protected structures, after Okabe and Ito (2008)."""
 AROUND_MM = 3.0
-"""Margin around the tissue in which structures are shown, beyond their distance [mm]."""
+"""Margin [mm] around the tissue in pictures with protected structures.
+
+The largest distance between tool and structure is added to this margin.
+"""
 ACROSS = 200
-"""Number of points along each side of the section at which the distance is computed."""
+"""Number of points along each side of a section at which distances are computed."""
 
 
 def distances_to_structures(run: Run) -> dict[str, float]:
-    """Return the smallest distance between the tool and each structure to keep clear of [mm].
+    """Return the smallest distance [mm] between the tool and each protected structure.
 
-    A distance is negative if the tool was inside the structure. As in the summary of the run, ticks
-    after the tool left the simulated region do not count.
+    A distance is negative if the tool was inside the structure. Ticks after the tool left the
+    simulated region are ignored.
     """
     clear = run.parts.keep_clear
     found = {} if clear is None else clear.summary()
@@ -464,8 +468,8 @@ def distances_to_structures(run: Run) -> dict[str, float]:
 def shown_mm(run: Run, section: Section) -> tuple[float, float, float, float]:
     """Return the drawn extent of a section, (u0, u1, v0, v1) [mm].
 
-    Without structures, the extent is that of the whole section. Otherwise it is the extent of the
-    tissue with a margin, in which the structures near the tool are visible.
+    Without protected structures, the whole section is drawn. Otherwise, the extent is that of the
+    tissue plus a margin in which structures near the tool are visible.
     """
     tissue = np.argwhere(section.start > 0.0)
     distances_mm = distances_to_structures(run).values()
@@ -483,7 +487,7 @@ def shown_mm(run: Run, section: Section) -> tuple[float, float, float, float]:
 def draw_kept_clear(
     axes: "Axes", run: Run, window: tuple[float, float, float, float], section: Section
 ) -> "list[Artist]":
-    """Draw structures in a section and return legend entries with the smallest distances."""
+    """Draw protected structures in a section; return legend entries with smallest distances."""
     from matplotlib.patches import Patch
 
     clear = run.parts.keep_clear

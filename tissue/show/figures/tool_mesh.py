@@ -1,4 +1,4 @@
-"""Surfaces of the tool of a scene and of faces without a mesh, and poses of the tool in a trace."""
+"""Surfaces of tools and of infinite faces such as a wall, for drawing, and tool poses."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -22,26 +22,26 @@ if TYPE_CHECKING:
     from tissue.simulation.trace import Table
 
 NEEDLE_MM = 80.0
-"""Length of a drawn needle [mm], longer than the deepest insertion in a study (60 mm)."""
+"""Length [mm] with which needles are drawn, longer than insertions in a study (60 mm)."""
 BLADE_MM = 40.0
-"""Length of a drawn blade above its edge [mm]."""
+"""Length [mm] with which a blade is drawn above its edge."""
 POINT = 2.0
-"""Ratio of the length of the needle's point to the diameter."""
+"""Ratio of the length to the diameter of a drawn needle's point."""
 SIDES = 72
-"""Number of sides of a round body; steps of 5 degrees look round."""
+"""Number of sides of a drawn round body; steps of 5 degrees look round."""
 ARC = np.radians(270.0)
 """Angle of the arc that shows the sense of rotation of a tool [rad]."""
 ROD_MM = 40.0
-"""Length of a drawn probe of any other shape [mm]."""
+"""Length [mm] with which rod-shaped probes are drawn."""
 ABOVE = 0.6
-"""Ratio of the width of an arc above a tool to the width of an arc around the tool."""
+"""Width of the rotation arc above a tool, relative to the width of an arc around the tool."""
 
 
 def tool_surface(tool: Tool | Probe | Needle | Blade | None) -> "pyvista.PolyData | None":
     """Return the surface of a tool in the frame of the tool [mm], or None.
 
     The tip is at the origin, and z points from tip to shank. The result is None if there is no
-    tool, or if the file of the tool can no longer be read.
+    tool, or the geometry file of the tool cannot be read.
     """
     import pyvista
 
@@ -106,7 +106,7 @@ def spin_arc_mm(tool: Tool) -> Array:
 
 
 def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> Array:
-    """Return the matrix from the frame of a tool to the world for points in mm, shape (4, 4).
+    """Return the matrix, shape (4, 4), from the tool's frame to the world, for points in mm.
 
     The pose is given by the position of the tip and a quaternion (x, y, z, w).
     """
@@ -121,7 +121,7 @@ def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> Array:
 def row_at(trace: "Table", time_s: float) -> int:
     """Return the index of the first row of a trace at or after a time.
 
-    After the last row, the index of the last row is returned.
+    If the time is after the last row, the index of the last row is returned.
     """
     times = trace["time_s"]
     # times from files are rounded: a tick at the moment itself counts
@@ -165,16 +165,16 @@ def _turned(line_mm: Array) -> "pyvista.PolyData":
 
 
 FACE_MM = 30.0
-"""Edge of a drawn piece of an infinite face, and length of a drawn wall beyond the path [mm]."""
+"""Edge [mm] of the drawn part of an infinite face; drawn length of a wall beyond the path."""
 WALL_MESH_MM = 5.0
 """Width of the squares of a drawn wall [mm]."""
 
 
 def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
-    """Return drawn pieces [mm] of the infinite faces in a scene, keyed by the name of the face.
+    """Return the drawn part [mm] of each infinite face in a scene, keyed by name.
 
-    A tool presses such a face, or passes through it. Examples are a virtual wall and the layers for
-    a needle. A scene with voxels or a mesh has no such faces.
+    Infinite faces are a virtual wall, or the layers that a needle passes. A scene with voxels or a
+    mesh has no infinite faces.
     """
     if scene is None:
         return {}
@@ -184,9 +184,9 @@ def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
 
 
 def path_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
-    """Return a drawn piece [mm] of the face of a wall or of a tissue, keyed by its name.
+    """Return the drawn part [mm] of the infinite face of a wall or a tissue, keyed by name.
 
-    The piece extends below all positions that the tool can reach.
+    The part covers all positions that the tool can reach.
     """
     import pyvista
 
@@ -211,7 +211,7 @@ def path_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
 
 
 def layer_faces(scene: Scene) -> "dict[str, pyvista.PolyData]":
-    """Return drawn pieces [mm] of the infinite faces that a needle passes, keyed by layer."""
+    """Return the drawn part [mm] of each layer's face that a needle passes, keyed by layer."""
     import pyvista
 
     assert isinstance(scene.anatomy, LayersAnatomy)
