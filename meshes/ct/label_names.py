@@ -49,7 +49,8 @@ class Segment:
 
 
 def apart(segments: Sequence[Segment]) -> dict[int, str]:
-    """Return a dictionary from segment number to name, with side if names occur repeatedly.
+    """Return a dictionary from segment number to name; a name that occurs repeatedly is followed by
+    the body side.
 
     If several segments have the same name, the body side from the file is appended to this name.
     """

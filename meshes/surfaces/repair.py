@@ -211,8 +211,8 @@ def triangle_areas(vertices: Array, faces: Ints) -> Array:
 class Holes:
     """Result of `fill_holes`.
 
-    The attributes are the numbers of closed small and large holes, the points of each cap (reported
-    closing face), and the area of the largest hole.
+    The attributes are the numbers of small and large holes that were closed, the points of each cap
+    (a face that closes a hole and is reported), and the area of the largest hole.
     """
 
     filled: int

@@ -131,7 +131,8 @@ def carried_beyond(
 
 
 def surface_of_fractions(fraction: Bytes) -> Bytes:
-    """Compute the stored surface distance of voxels from the voxels' filled fractions.
+    """Compute the distances of voxels from the surface, in the stored form, from their filled
+    fractions.
 
     The result is uint8, shape (nx, ny, nz).
 

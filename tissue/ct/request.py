@@ -200,7 +200,7 @@ class ImportRequest:
 
     @property
     def is_markups(self) -> bool:
-        """True if the site is a file of markups."""
+        """True if the site of the operation is given by a 3D Slicer markups file."""
         return isinstance(self.site, str) and Path(self.site).suffix.lower() in MARKUPS
 
     @property

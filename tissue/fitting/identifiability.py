@@ -118,11 +118,11 @@ class Identified:
 def identified(posterior: Posterior) -> Identified:
     """Return the constants and the combinations that a log determines.
 
-    Let z be the standard normal numbers of the constants. The combinations follow from the
-    eigenvectors of the log's information about z with free nuisance parameters. Each eigenvector is
-    the gradient of a weighted mean of the loads with respect to z. A combination is evaluated as
-    this mean and not as a weighted sum of z, because the gradient may change along a curve on which
-    the mean is constant.
+    Let z be the constants transformed so that their prior is standard normal. The combinations
+    follow from the eigenvectors of the Fisher information that the log gives about z if the
+    nuisance parameters are unknown too. Each eigenvector is the gradient of a weighted mean of the
+    loads with respect to z. A combination is evaluated as this mean and not as a weighted sum of z,
+    because the gradient may change along a curve on which the mean is constant.
     """
     target = posterior.target
     contraction = posterior.spreads

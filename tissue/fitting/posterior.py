@@ -54,7 +54,8 @@ small compared with an interval, which is 3.3 standard deviations wide.
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Posterior of constants given a log: normal distribution of their standard normal numbers.
+    """Posterior of constants given a recorded log, as a normal distribution of the constants
+    transformed to standard normal variables.
 
     Attributes
     ----------
@@ -64,12 +65,14 @@ class Posterior:
     maximum
         Most probable numbers, shape (size,): constants, offset, biases and noise.
     covariance
-        Covariance of the constants, the offset and the biases, shape (places, places).
+        Covariance of the constants, the offset and the biases, shape (q, q), where q is their
+        number.
     converged
         True if a maximum was found.
     mesh_z
         Shift of the constants due to the mesh error of the runs, as standard normal numbers, shape
-        (p,). The shift widens the intervals. None if the loads have no mesh.
+        (p,). The credible intervals of the constants are widened by this shift. None if the loads
+        have no mesh.
     """
 
     target: Target

@@ -233,7 +233,8 @@ class ProbeFit(Fitted):
 
 
 def common_pattern(forces_N: Array, fitted_N: Array) -> float:
-    """Return the norm of the presses' mean residual, divided by its standard error.
+    """Return the norm of the mean residual over the presses, divided by the standard error of this
+    norm.
 
     The fitted curve is scaled and shifted to each press before the residual is computed. Residuals
     are divided by the range of the press. The norms are L2 norms over the depths.

@@ -249,8 +249,8 @@ class Run(engine.Run):
             Seed of the samples; default the seed of the scene.
         workers
             Number of processes that run samples in parallel. It has an effect only if each sample
-            needs a run of its own, as for a needle. A script that uses several processes must have
-            its statements below ``if __name__ == "__main__":``.
+            needs its own run, for example with a needle. A script that uses several processes must
+            have its statements below ``if __name__ == "__main__":``.
         scheduler
             Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``. The workers of
             this scheduler run the samples, instead of processes on this machine.
@@ -462,8 +462,8 @@ def report(
     out
         HTML file to write; default ``report.html`` in the run's folder.
     against
-        Reference run, or its folder. If it is given, the report also contains the comparison with
-        this run that `tissue.assess` makes.
+        Reference run, or its folder. If it is given, the report also contains the comparison by
+        `tissue.assess` with this reference run.
     overwrite
         Whether to replace an existing file.
     progress

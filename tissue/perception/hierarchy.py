@@ -152,13 +152,13 @@ def fit_hierarchy(
 
     The sampler is NUTS, the No-U-Turn sampler of Hoffman and Gelman (2014), in NumPyro.
 
-    Over observers, ln alpha, beta, ln kappa and ln offset have normal distributions. sigma squared
-    has an inverse-gamma distribution, and lapse rates have the distribution Beta(1, 10). Means over
-    observers have wide priors around published values, and standard deviations over observers have
-    half-normal priors. ln kappa and ln offset are parametrised as deviations from the mean
-    (non-centred), because the trials of one observer contain little information about them. ln
-    alpha and beta are parametrised directly (centred), because the trials of one observer contain
-    enough information about them.
+    The parameters ln alpha, beta, ln kappa and ln offset of an observer have normal distributions
+    over the population. sigma squared has an inverse-gamma distribution, and lapse rates have
+    the distribution Beta(1, 10). Means over observers have wide priors around published values, and
+    standard deviations over observers have half-normal priors. ln kappa and ln offset are
+    parametrised as deviations from the mean (non-centred), because the trials of one observer
+    contain little information about them. ln alpha and beta are parametrised directly (centred),
+    because the trials of one observer contain enough information about them.
 
     Parameters
     ----------
@@ -167,9 +167,10 @@ def fit_hierarchy(
     seed
         Seed of the random draws.
     warm_up, draws
-        Numbers of draws per chain: for tuning, and to keep. For eight observers with 60 comparisons
-        and 12 reported numbers each, the effective sample size is 444 to 499 with 600 kept draws,
-        and 230 with 300. A warm-up of 300 draws is enough in this case.
+        Number of tuning draws per chain (`warm_up`), and number of draws that are kept per chain
+        (`draws`). For eight observers with 60 comparisons and 12 reported numbers each, the
+        effective sample size is 444 to 499 with 600 kept draws, and 230 with 300. A warm-up of 300
+        draws is enough in this case.
     progress
         True to show a progress bar for each chain.
 

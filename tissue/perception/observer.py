@@ -54,8 +54,8 @@ class Observer:
     """Force perception of one person, as a normal posterior of the person's parameters.
 
     The posterior is normal in the coordinates (ln alpha, beta, ln kappa, ln offset, logit lapse, ln
-    sigma); see `PARAMETERS`. With these coordinates, every draw has a positive factor, threshold
-    and scatter, and a lapse rate between 0 and 1.
+    sigma); see `PARAMETERS`. With these coordinates, every draw has a positive alpha (factor),
+    kappa, offset and sigma (scatter), and a lapse rate between 0 and 1.
 
     Attributes
     ----------

@@ -204,7 +204,7 @@ def anatomy_parts() -> tuple[type[Part], ...]:
 
 
 def motion_parts() -> tuple[type[Part], ...]:
-    """Return the table classes of all known motions."""
+    """Return the classes that describe the configuration tables of all known motions."""
     return tuple(MOTIONS[kind].parameters for kind in MOTIONS.known)
 
 

@@ -224,8 +224,8 @@ class ParticleBody:
     def set_remaining(self, particles: Integers, steps: Integers) -> None:
         """Set the remaining fractions of some particles, in steps of 1/65535.
 
-        ``particles`` are indices in the caller's order. `update` applies the change to the
-        stiffness.
+        ``particles`` are indices into the particles in the order in which the caller passed them.
+        `update` applies the change to the stiffness.
         """
         rows = self.cells.rank[particles]
         left = self.cells.remaining
