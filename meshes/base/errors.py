@@ -275,7 +275,7 @@ def require_file(file: Path, content: str) -> None:
             "file",
             "exist",
             _short(file),
-            "check the path, which is taken from the working directory",
+            "check the path; it is relative to the working directory",
         )
     if file.stat().st_size == 0:
         raise InputError(

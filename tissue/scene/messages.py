@@ -448,7 +448,7 @@ def _remedy(field: FieldInfo) -> str:
 def _addition(names: tuple[str, ...], field: FieldInfo) -> str:
     """Return an instruction to add a missing entry."""
     if field.examples:
-        return f"add {names[-1]} = {_toml(field.examples[0])}"
+        return f"add it, for example {names[-1]} = {_toml(field.examples[0])}"
     table = f"[{'.'.join(names)}] with its entries"
     return f"add {table if _parts(field) else names[-1]}, {SEE}"
 

@@ -119,7 +119,7 @@ def test_seeds_belong_to_trials_and_to_nothing_else():
         ({"groups": ()}, "groups must each be one of novice, intermediate, expert, got nothing"),
         (
             {"methods": ("penalty", "penalty")},
-            "methods must each be .* got penalty,penalty. Choose among these, each once",
+            "methods must each be .* got penalty,penalty. Choose one or more",
         ),
     ],
 )

@@ -120,7 +120,7 @@ def require_structures(wanted: Wanted, anatomy: CutAnatomy) -> Mapping[str, Shap
 def _unknown_structure(name: str, anatomy: CutAnatomy, shapes: Mapping[str, Shape]) -> InputError:
     """Return the error for a name that does not belong to a structure of the anatomy."""
     known = [*shapes, *anatomy.structure_files]
-    remedy = "give its surface in [keep_clear.files]"
+    remedy = f"give a surface of {name} in [keep_clear.files]"
     if known:
         remedy = f"use {known[0]}, or {remedy}"
     elif name == "pulp" and isinstance(anatomy, MolarSurfaces):
