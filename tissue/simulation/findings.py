@@ -83,7 +83,9 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
             "whole motion"
         )
     if isinstance(scene.anatomy, LayersAnatomy):
-        deepest = trace["insertion_mm"].max()
+        # an oblique needle is inserted farther than it is deep; 1e-9 mm for rounding
+        cosines = tool_axes(trace.quaternions())[:, 2]
+        deepest = (trace["insertion_mm"] * cosines).max() + 1e-9
         beyond = [f"the {name} at {d:g} mm" for name, d in scene.anatomy.membranes if d > deepest]
         if beyond:
             found["membranes"] = (
