@@ -91,7 +91,7 @@ def compare(
         Folder for the picture and the table; without this option, the figures are only printed.
     over
         Horizontal axis of the picture: time, or depth of the tool's tip below its first contact;
-        default depth if the tools mainly advance along their axes.
+        default depth if more than half of the path of each tool in contact leads into the tissue.
     format_
         Format of the picture, png, svg or pdf, or of one table with the traces of all runs,
         parquet, npz, mat or h5; may be repeated.

@@ -158,8 +158,8 @@ class Comparison:
         ----------
         over
             ``time``; or ``depth`` of the tool's tip below the point of first contact, until the tip
-            first rises by 0.2 mm. The default is depth if all tools mainly advance along their
-            axis.
+            first rises by 0.2 mm. The default is depth if this descent is more than half of the
+            path of every tool in contact. A needle that is drawn out again is drawn over time.
 
         Returns
         -------

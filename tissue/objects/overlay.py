@@ -85,7 +85,7 @@ class Loads:
 
 
 def chosen_over(curves: Sequence[Curve]) -> Over:
-    """Return depth if all tools mainly advance along their axis, else time.
+    """Return depth if all tools mainly move into the tissue, else time.
 
     Uncertainty bands of tools that do not follow a given path are drawn over time.
     """

@@ -83,10 +83,15 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
             "whole motion"
         )
     if isinstance(scene.anatomy, LayersAnatomy):
-        # an oblique needle is inserted farther than it is deep; 1e-9 mm for rounding
+        # an oblique needle is inserted farther than it is deep
         cosines = tool_axes(trace.quaternions())[:, 2]
-        deepest = (trace["insertion_mm"] * cosines).max() + 1e-9
-        beyond = [f"the {name} at {d:g} mm" for name, d in scene.anatomy.membranes if d > deepest]
+        deepest = (trace["insertion_mm"] * cosines).max()
+        # 1e-9 mm for rounding
+        beyond = [
+            f"the {name} at {depth:g} mm"
+            for name, depth in scene.anatomy.membranes
+            if depth > deepest + 1e-9
+        ]
         if beyond:
             found["membranes"] = (
                 f"not all reached: the needle tip went {deepest:.3g} mm deep, and these "

@@ -262,8 +262,9 @@ class NeedleModel:
     axis. Sideways motion or rotation of the needle inside the organ has no resistance. Travel and
     inserted length are measured along the axis, from its intersection with the undeformed surface.
     Membranes are parallel to the surface. Their inserted lengths follow from the direction of the
-    needle at its entry, and a later rotation does not change them. Only the latest track is stored. A needle that leaves the organ and re-enters within one needle diameter of its
-    last entry point moves in the open track. At other points the organ is treated as intact.
+    needle at its entry, and a later rotation does not change them. Only the latest track is stored.
+    A needle that leaves the organ and re-enters within one needle diameter of its last entry point
+    moves in the open track. At other points the organ is treated as intact.
 
     The response's ``edge`` is the pull of the organ. This pull also acts at rest and does not
     depend on speed. ``resistance`` is the viscous friction of a sliding shaft. ``engaged_m2`` is
