@@ -215,28 +215,28 @@ def here(tmp_path, monkeypatch):
             ("run", "milling", "--seed", "3"),
             (
                 "seed must be left out without a device, because the run then has no random numbers, "
-                "got 3. Set device = touch, or remove it"
+                "got 3. Set device = touch, or remove seed"
             ),
         ),
         (
             ("run", "milling", "--fidelity", "force_error=0.1", "--set", "voxels.removal=binary"),
             (
                 "voxels.removal must be left out with fidelity, which chooses it, got binary. "
-                "Leave fidelity out, or remove it"
+                "Leave fidelity out, or remove voxels.removal"
             ),
         ),
         (
             ("run", "wall", "--fidelity", "force_error=0.1", "--set", "prediction=hold"),
             (
                 "device.prediction must be left out with fidelity, which chooses it, got hold. "
-                "Leave fidelity out, or remove it"
+                "Leave fidelity out, or remove device.prediction"
             ),
         ),
         (
             ("run", "liver-press", "--fidelity", "force_error=0.1", "--set", "organ.order=1"),
             (
                 "organ.order must be left out with fidelity, which chooses it, got 1. Leave "
-                "fidelity out, or remove it"
+                "fidelity out, or remove organ.order"
             ),
         ),
         (

@@ -90,8 +90,8 @@ def compare(
     out
         Folder for the picture and the table. Without this option, the results are only printed.
     over
-        Horizontal axis of the picture: time, or depth of the tool's tip below the point of first
-        contact. The default is depth if all tools mainly advance along their axes, otherwise time.
+        Horizontal axis of the picture: time, or depth of the tool's tip below its first contact;
+        default depth if more than half of the path of each tool in contact leads into the tissue.
     format_
         Format of the picture: png, svg or pdf; default png. Or format of one table with the traces
         of all runs: parquet, npz, mat or h5. May be repeated.

@@ -39,6 +39,7 @@ def train(
     from meshes.base.whole_file import require_new_file
     from tissue.scene.load import load_scene, parse_overrides
     from tissue.scene.registry import PREDICTORS
+    from tissue.simulation.builders.prediction import ADAPTIVE
 
     loaded = load_scene(scene, parse_overrides(set_))
     path = out or Path(f"{loaded.name}.npz")
@@ -51,10 +52,11 @@ def train(
         found.write(path, overwrite=overwrite)
     facts = found.facts
     checked = found.facts["validation"]
-    errors = {
-        kind: sum(each) for kind, each in checked["errors"].items() if PREDICTORS[kind].trained
-    }
+    errors = {kind: sum(each) for kind, each in checked["errors"].items()}
     best = min(errors, key=lambda kind: errors[kind])
+    advice = f"{best} has the smallest error; use it with --set prediction={best}"
+    if PREDICTORS[best].trained or best == ADAPTIVE:
+        advice += f" --set coupling.predictor_file={path}"
     lines = [
         f"{len(facts['delays'])} delays, {facts['samples']} samples",
         f"error on {len(checked['held_out'])} run{'s' * (len(checked['held_out']) > 1)} held "
@@ -64,9 +66,6 @@ def train(
             f"{kind:>18}  " + "  ".join(f"{100.0 * e:6.2f}" for e in errors)
             for kind, errors in checked["errors"].items()
         ),
-        (
-            f"written to {path}; use it with --set prediction={best} --set "
-            f"coupling.predictor_file={path}"
-        ),
+        f"written to {path}. {advice}",
     ]
     console.print(*lines, sep="\n")

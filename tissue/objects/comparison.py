@@ -156,8 +156,9 @@ class Comparison:
         ----------
         over
             ``time``; or ``depth`` of the tool's tip below the point of first contact, in the ticks
-            in which the tip is deeper than before. The default is depth if all tools mainly advance
-            along their axis.
+            in which the tip is deeper than before. The default is depth if this motion is more than
+            half of the path of every tool in contact. A needle that is withdrawn is drawn over
+            time.
 
         Returns
         -------

@@ -87,7 +87,7 @@ class Loads:
 
 
 def chosen_over(curves: Sequence[Curve]) -> Over:
-    """Return ``depth`` if all tools mainly advance along their axis, else ``time``.
+    """Return depth if all tools mainly move into the tissue, else time.
 
     If a run has an uncertainty band and its tool does not follow a given path, return ``time``.
     """

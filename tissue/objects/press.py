@@ -290,11 +290,11 @@ class Press:
         return table_html((rows | self.notes).items(), caption="Press")
 
     def __repr__(self) -> str:
+        facts = f"{self.stiffness_N_mm:.4g} N/mm, {self.area_mm2:.4g} mm2"
         return (
             f"Press({self.tool} at {self._place} mm: {self.force_magnitude_N:.4g} N at "
             f"{self.depth_mm[-1]:g} mm, "
-            f"{self.stiffness_N_mm:.4g} N/mm, {self.area_mm2:.4g} mm2; "
-            f"{'; '.join(self.notes.values())})"
+            f"{'; '.join((facts, *self.notes.values()))})"
         )
 
 

@@ -164,10 +164,9 @@ def _idle_error(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle
     }
     if len(given) == 1:
         got = shown(next(iter(given.values())))
-        remove = "remove it"
     else:
         got = ", ".join(f"{key} = {shown(value)}" for key, value in given.items())
-        remove = "remove them"
+    remove = f"remove {' and '.join(given)}"
     wanted = f"be left out {first.where}"
     return InputError(" and ".join(given), wanted, got, f"{first.remedy}, or {remove}")
 

@@ -396,8 +396,8 @@ class Scene(Part):
             if table == "organ" and isinstance(self.tool, Needle | Blade):
                 where = f"for a {self.tool.kind}"
                 remedy = (
-                    "set materials to a file with the tissue's constants, such as "
-                    f"{ENTERED[type(self.tool)]}"
+                    f"give constants of the tissue, such as {ENTERED[type(self.tool)]}, in the "
+                    "file that materials names"
                 )
             yield table, table not in reads, where, remedy
         if isinstance(anatomy, BlockImage):

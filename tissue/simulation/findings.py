@@ -85,8 +85,15 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
             "whole motion"
         )
     if isinstance(scene.anatomy, LayersAnatomy):
-        deepest = trace["insertion_mm"].max()
-        beyond = [f"the {name} at {d:g} mm" for name, d in scene.anatomy.membranes if d > deepest]
+        # an oblique needle is inserted farther than it is deep
+        cosines = tool_axes(trace.quaternions())[:, 2]
+        deepest = (trace["insertion_mm"] * cosines).max()
+        # 1e-9 mm for rounding
+        beyond = [
+            f"the {name} at {depth:g} mm"
+            for name, depth in scene.anatomy.membranes
+            if depth > deepest + 1e-9
+        ]
         if beyond:
             found["membranes"] = (
                 f"not all reached: the needle tip went {deepest:.3g} mm deep, and these "

@@ -19,11 +19,14 @@ from tissue.haptics.hand_motion import HandMotion
 from tissue.haptics.loop.sampled_loop import force_later_N
 from tissue.models.tissue_model import TICK_S, MayLag
 from tissue.motion.motion import LONGEST_S, Events, Motion
-from tissue.scene.registry import ANATOMIES
+from tissue.prediction.trained import is_trained
+from tissue.scene.load import load_scene
+from tissue.scene.registry import ANATOMIES, PREDICTORS
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import used_constants
 from tissue.simulation.builders.arguments import given_note
 from tissue.simulation.builders.parts import Parts, TissueBuilder, motion_of, require_stated_rate
+from tissue.simulation.builders.prediction import ADAPTIVE
 from tissue.simulation.findings import (
     BreakThrough,
     break_throughs,
@@ -322,12 +325,37 @@ def _prediction_note(trace: Table, motion: HandMotion) -> dict[str, str]:
     missed, held = (
         100.0 * float(np.linalg.norm((later - force)[:known])) / size for force in (predicted, raw)
     )
+    compared = "worse than zero-order hold with" if missed > held else "zero-order hold has"
     share = 100.0 * float(trace["predicted_by"][np.any(raw != 0.0, axis=1)].mean())
     return {
-        "prediction": f"{ticks:.3g} ms ahead, off by {missed:.2g} % of the force where holding "
-        "it is off "
-        "by "
-        f"{held:.2g} %; its own force in {share:.3g} % of the ticks in contact"
+        "prediction": f"RMS error {missed:.2g} % of the force at a horizon of {ticks:.3g} ms; "
+        f"{compared} {held:.2g} %. The predictor's own force was used in {share:.3g} % of the "
+        "ticks in contact"
+    }
+
+
+def _training_note(scene: Scene) -> dict[str, str]:
+    """Return a note if a built-in predictor was trained on another task than that of the scene.
+
+    The name of a scene chooses the built-in predictor.
+    """
+    held = scene.held
+    if held.prediction == "none" or scene.predictor_file or not is_trained(scene.name):
+        return {}
+    if held.prediction != ADAPTIVE and not PREDICTORS[held.prediction].trained:
+        return {}
+    built_in = load_scene(scene.name)
+    # the interval between saved frames does not affect the force
+    mine, trained = (
+        each.model_dump(exclude={"anatomy": {"interval_ms"}}) for each in (scene, built_in)
+    )
+    other = [key for key in ("anatomy", "tool", "motion", "organ") if mine[key] != trained[key]]
+    if not other:
+        return {}
+    return {
+        "predictor": f"trained on the built-in scene {scene.name}, which differs in "
+        f"{', '.join(other)}. Train one for this scene with 'tissue train', and set "
+        "coupling.predictor_file to its file"
     }
 
 
@@ -384,6 +412,7 @@ def build(
         from tissue.simulation.builders.hand import hand_motion
 
         motion, notes["coupling"] = hand_motion(scene, motion, allow_unstable=allow_unstable)
+        notes |= _training_note(scene)
     parts = builder_of(scene.anatomy.kind)(
         scene, motion, step_s=TICK_S, compute=compute, cores=cores, report=report
     )

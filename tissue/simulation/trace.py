@@ -216,7 +216,9 @@ class TraceLayout:
             "wrench": components("model_force", "N") + components("model_torque", "Nm"),
             "removal_rate": "removal_rate_mm3_s",
             "removed": "removed_mm3",
-            "removed_by_layer": tuple(f"removed_{name}_mm3" for name in layer_names),
+            "removed_by_layer": tuple(
+                f"removed_{name}_mm3".replace(" ", "_") for name in layer_names
+            ),
             "contact": "contact_mm2",
             "tissue_measures": tissue_measures,
             "motion_measures": motion_measures,

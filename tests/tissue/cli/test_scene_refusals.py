@@ -140,5 +140,8 @@ def test_a_refused_key_of_a_needle_names_the_needle_and_its_constants(refused):
     message = refused("run", "needle", *changes)
     assert "left out for a needle, got" in message and "needs anatomy.kind = layers" in message
     message = refused("run", "needle", "--set", "organ.young_kPa=15")
-    assert "left out for a needle, got 15. Set materials to a file" in message
-    assert "needle.liver.linear_N_mm" in message and "anatomy.kind" not in message
+    assert (
+        "left out for a needle, got 15. Give constants of the tissue, such as "
+        "needle.liver.linear_N_mm, in the file that materials names, or remove organ.young_kPa"
+    ) in message
+    assert "anatomy.kind" not in message

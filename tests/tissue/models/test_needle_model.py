@@ -217,3 +217,45 @@ def test_a_needle_that_is_nowhere_is_refused(where):
     getattr(motion, where)[...] = np.nan
     with pytest.raises(InputError, match="the needle's pose must be finite"):
         model.advance(motion)
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 30.0, 45.0])
+def test_an_oblique_needle_reaches_a_membrane_at_its_depth(tilt_deg):
+    """A flat membrane at a depth d crosses a track tilted by t at the inserted length d / cos t."""
+    turned = Rotation.from_euler("y", tilt_deg, degrees=True).as_matrix()
+    model = needle()
+    stopped = []
+    for depth in np.arange(-1.0, 70.0, 0.05):
+        motion = at(depth)
+        oblique = ToolMotion(rotation=turned, speed_m_s=motion.speed_m_s)
+        oblique.tip_m = turned @ motion.tip_m
+        oblique.heading[0] = turned @ motion.heading[0]
+        model.advance(oblique)
+        if model.insertion.blocked:
+            stopped.append(model.insertion.inserted_m)
+    assert model.insertion.punctured == 2
+    assert stopped[-1] == pytest.approx(20e-3 / np.cos(np.radians(tilt_deg)), rel=1e-12)
+    assert tilt_deg != 0.0 or stopped[-1] == 20e-3
+
+
+def test_weak_membrane_breaks_in_the_tick_of_the_capsule():
+    """The event of a membrane that breaks at once has the travel and the pull of that moment.
+
+    The tip arrives at the membrane at the travel of the capsule's puncture, or while it slides.
+    """
+    for walls in (
+        [vessel_wall(2.5e-3, name="fat", puncture_N=0.7, hold_N=0.05)],
+        [vessel_wall(20e-3, name="fat", puncture_N=0.3, hold_N=0.0)],
+    ):
+        model = needle(needle_tissue(walls=walls))
+        travels_m = []
+        for depth in np.arange(-1.0, 60.0, 0.05):
+            model.advance(at(depth))
+            while len(travels_m) < len(model.insertion.punctures):
+                travels_m.append(1e-3 * depth)
+        (first_m, _), (at_m, force_N) = model.insertion.punctures
+        fat = model.tissue.membranes[1]
+        assert first_m <= at_m
+        assert travels_m[1] - 0.05e-3 <= at_m <= travels_m[1]
+        assert force_N == pytest.approx(model.tissue.pull_N(at_m - fat.depth_m), rel=1e-9)
+        assert force_N > fat.puncture_N

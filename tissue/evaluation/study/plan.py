@@ -314,7 +314,10 @@ class Plan:
             if strange or not chosen or len(set(chosen)) < len(chosen):
                 got = strange[0] if strange else ",".join(chosen) or "nothing"
                 raise InputError(
-                    name, f"each be one of {', '.join(known)}", got, "choose one or more of these, without repetition"
+                    name,
+                    f"each be one of {', '.join(known)}",
+                    got,
+                    "choose one or more of these, without repetition",
                 )
 
     @property

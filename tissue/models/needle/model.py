@@ -45,6 +45,16 @@ class Insertion:
     behind a membrane equals the tissue in front of it. The polynomial a1 u + a2 u|u| was fitted to
     inward deflections of up to 17 mm. For outward deflections, the same coefficients are assumed.
 
+    Parameters
+    ----------
+    tissue
+        Tissue along the track.
+    travel_m
+        Travel at the start [m].
+    cosine
+        Cosine of the angle between the track and the surface normal. An oblique track reaches a
+        membrane at the inserted length depth / cosine.
+
     Attributes
     ----------
     travel_m, inserted_m, deflection_m
@@ -60,7 +70,7 @@ class Insertion:
         Travel [m] and force [N] at every puncture; the force does not include viscous friction.
     """
 
-    def __init__(self, tissue: NeedleTissue, *, travel_m: float = 0.0) -> None:
+    def __init__(self, tissue: NeedleTissue, *, travel_m: float = 0.0, cosine: float = 1.0) -> None:
         self.tissue = tissue
         self.travel_m = travel_m
         self.inserted_m = 0.0
@@ -69,7 +79,7 @@ class Insertion:
         self.punctured = 0
         self.sliding = 0
         self.punctures: list[tuple[float, float]] = []
-        self._depths = tuple(membrane.depth_m for membrane in tissue.membranes)
+        self._depths = tuple(membrane.depth_m / cosine for membrane in tissue.membranes)
         self._holds = tuple(membrane.hold_N for membrane in tissue.membranes)
 
     def advance(self, travel_m: float, speed_m_s: float) -> None:
@@ -164,6 +174,7 @@ class Insertion:
         """
         tissue = self.tissue
         friction = self.tissue.friction
+        reached_m = -inf  # travel at which the tip reached the current membrane in this tick
         while True:
             per_length = friction.sliding_in_N_m if self.sliding > 0 else friction.static_in_N_m
             tip = tissue.cutting_N if self.inserted_m == self.cut_m else 0.0
@@ -174,13 +185,21 @@ class Insertion:
                 self.deflection_m = self.travel_m - self.inserted_m
                 return
             if self.blocked:
-                self.punctures.append((self.inserted_m + tissue.deflection_m(limit), limit))
+                at_m = self.inserted_m + tissue.deflection_m(limit)
+                force_N = limit
+                # The pull at arrival already exceeds the limit: the membrane breaks at once.
+                if at_m < reached_m:
+                    at_m = reached_m
+                    force_N = tissue.pull_N(at_m - self.inserted_m)
+                self.punctures.append((at_m, force_N))
                 self.punctured += 1
+                reached_m = at_m
                 continue
             # A slow shaft creeps under the static friction and does not slide.
             self.sliding = max(self.sliding, int(quick))
             per_length = friction.sliding_in_N_m if self.sliding > 0 else friction.static_in_N_m
-            resists = tip + self._hold_N(inwards=True) + per_length * self.travel_m
+            hold = self._hold_N(inwards=True)
+            resists = tip + hold + per_length * self.travel_m
             deflection = positive_root(
                 tissue.quadratic_N_m2, tissue.linear_N_m + per_length, resists
             )
@@ -192,6 +211,8 @@ class Insertion:
                 self.deflection_m = self.travel_m - length
                 return
             self.sliding = 0
+            balance_m = stop + tissue.deflection_m(tip + hold + per_length * stop)
+            reached_m = max(reached_m, balance_m)
 
     def _next_stop_m(self) -> float:
         """Return the inserted length [m] at the next rise of the resistance.
@@ -238,10 +259,12 @@ class NeedleModel:
     """Organ under the plane z = 0 with a needle that moves in and out along its axis.
 
     The force is computed by `tissue.models.needle.model.Insertion` and acts along the needle's
-    axis. Sideways motion or rotation of the needle inside the organ has no resistance. Depths are
-    measured along the axis, from its intersection with the undeformed surface. Only the latest
-    track is stored. A needle that re-enters the organ within one needle diameter of its last entry
-    point moves in this track. At other points the organ is treated as intact.
+    axis. Sideways motion or rotation of the needle inside the organ has no resistance. Travel and
+    inserted length are measured along the axis, from its intersection with the undeformed surface.
+    Membranes are parallel to the surface. Their inserted lengths follow from the direction of the
+    needle at its entry, and a later rotation does not change them. Only the latest track is stored.
+    A needle that leaves the organ and re-enters within one needle diameter of its last entry point
+    moves in the open track. At other points the organ is treated as intact.
 
     The response's ``edge`` is the pull of the organ. This pull also acts at rest and does not
     depend on speed. ``resistance`` is the viscous friction of a sliding shaft. ``engaged_m2`` has
@@ -421,9 +444,12 @@ class NeedleModel:
         """
         entry = motion.tip_m + travel_m * motion.rotation[:, 2]
         # The comparison is also true for the first entry, because the entry before it is NaN.
-        if not np.linalg.norm(entry - self._entry_m) <= self._diameter_m:
-            self.insertion = Insertion(self.tissue)
+        is_new = not np.linalg.norm(entry - self._entry_m) <= self._diameter_m
+        if is_new:
             self._entry_m[:] = entry
+        # Where nothing is cut yet, the track has the direction of the needle.
+        if is_new or self.insertion.cut_m == 0.0:
+            self.insertion = Insertion(self.tissue, cosine=float(motion.rotation[2, 2]))
         return self.insertion
 
     def _layer(self) -> int:

@@ -29,7 +29,7 @@ class Membrane:
     name
         Name of the membrane in events and in the list of layers.
     depth_m
-        Depth [m] along the needle's axis from the undeformed surface; 0 for the organ's capsule.
+        Depth [m] below the undeformed surface; 0 for the organ's capsule.
     puncture_N
         Force of the tip at which the membrane breaks [N].
     hold_N

@@ -1,5 +1,6 @@
 """Pictures of a run: functions that draw its results into files."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -35,36 +36,41 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
     from tissue.show.figures.section import draw_section
 
     folder.mkdir(parents=True, exist_ok=True)
-
-    def path(name: str) -> Path:
-        return folder / f"{name}.{kind}"
-
     scene = run.scene
     parts = run.parts
     fields = parts.fields
-    notes: dict[str, str | None] = {}
+    pictures: dict[str, Callable[[Run, Path], object]] = {}
     if parts.volume is not None:
         has_measures = len(parts.tissue.layer_names) > 1 and parts.tissue.measure_names
         # a tool that does not rotate removes nothing, so its section would show nothing new
         is_drilled = bool(has_measures) and run.cutter.spin_rad_s != 0.0
         if is_drilled or parts.keep_clear is not None:
-            draw_section(run, path("section"))
+            pictures["section"] = draw_section
         if is_drilled:
-            notes["force_depth"] = draw_force_depth(run, path("force_depth"))
-    draw_force_torque(run, path("force_torque"))
+            pictures["force_depth"] = draw_force_depth
+    pictures["force_torque"] = draw_force_torque
     if scene.device is not None:
-        draw_played(run, path("played"))
-    built_in = {"layers": {"insertion": draw_insertion}, "wall": {"wall": draw_wall}}.get(
-        scene.anatomy.kind, {}
-    )
-    for name, draw in {**built_in, **ANATOMIES[scene.anatomy.kind].pictures}.items():
-        draw(run, path(Path(name).stem))
+        pictures["played"] = draw_played
+    if scene.anatomy.kind == "layers":
+        pictures["insertion"] = draw_insertion
+    elif scene.anatomy.kind == "wall":
+        pictures["wall"] = draw_wall
+    for name, draw in ANATOMIES[scene.anatomy.kind].pictures.items():
+        pictures[Path(name).stem] = draw
     # another process renders in 3D, which takes longest and may fail
     if parts.volume is not None:
-        notes["bone_before_after"] = draw_before_after(run, path("bone_before_after"))
+        pictures["bone_before_after"] = draw_before_after
     elif fields is not None and fields.frames:
-        notes["press"] = draw_press(run, path("press"))
-        notes["held"] = draw_held(run, path("held"))
-    return [
-        f"{name}.{kind} was not drawn: {note}" for name, note in notes.items() if note is not None
-    ]
+        pictures["press"] = draw_press
+        pictures["held"] = draw_held
+    notes = []
+    for name, draw in pictures.items():
+        file = f"{name}.{kind}"
+        try:
+            reason = draw(run, folder / file)
+        # Any exception: the results are complete, and a picture must not make the run fail.
+        except Exception as error:
+            reason = f"{type(error).__name__}: {error}"
+        if isinstance(reason, str):
+            notes.append(f"{file} was not drawn: {reason}")
+    return notes

@@ -180,6 +180,7 @@ def draw_insertion(run: Run, path: Path) -> None:
     last_mm = -np.inf
     # points above the curve
     height = 10
+    above = 4.0
     label = "puncture"
     for when, what in run.events:
         row = int(np.searchsorted(time, when))
@@ -187,6 +188,8 @@ def draw_insertion(run: Run, path: Path) -> None:
             # points above the curve; a line of text is 14 points high
             height = height + 14 if depth[row] - last_mm < SIDE_BY_SIDE * np.ptp(depth) else 10
             last_mm = depth[row]
+            # leaders run behind the names of earlier punctures
+            above -= 0.01
             over_depth.annotate(
                 what.partition(" is punctured")[0].removeprefix("the "),
                 # the force before the puncture, at its peak
@@ -195,6 +198,8 @@ def draw_insertion(run: Run, path: Path) -> None:
                 textcoords="offset points",
                 ha="center",
                 arrowprops={"arrowstyle": "-", "color": "0.4"},
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+                zorder=above,
             )
             over_time.axvline(when, color="0.4", linestyle=":", label=label, zorder=0)
             label = ""

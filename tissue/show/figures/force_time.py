@@ -220,9 +220,16 @@ def _draw_path(axes: "Axes", run: Run) -> None:
         axes.axvspan(time[first], end, color=colours[name], alpha=0.45, linewidth=0.0, label=label)
         named.add(name)
     if named:
-        legend_above(axes, 4)
+        longest = max(len(name) for name in named)
+        legend_above(axes, max(LEGEND_LETTERS // (longest + BESIDE_NAME_LETTERS), 1))
 
 
+LEGEND_LETTERS = 125
+BESIDE_NAME_LETTERS = 25
+"""Letters in a row of a legend, and letters of an entry besides its name, as wide as its patch.
+
+A wider legend would leave the panels only a part of the figure's width.
+"""
 MOMENT_S = 0.06
 """Duration [s] of an enlarged interval, in which latencies of milliseconds are visible."""
 LINES: tuple[tuple[str, str, dict[str, Any]], ...] = (

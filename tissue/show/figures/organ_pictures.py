@@ -128,7 +128,9 @@ def draw_press(run: Run, path: Path) -> str | None:
             if along_needle:
                 low, high = organs[0].bounds[4:]
                 tool = tool.clip(normal="z", origin=(0.0, 0.0, high + ABOVE * (high - low)))
-            tool = paint(with_normals(tool), np.tile(TOOL, (tool.n_points, 1)))
+            # the normals split points at sharp edges
+            tool = with_normals(tool)
+            tool = paint(tool, np.tile(TOOL, (tool.n_points, 1)))
         shown = [organ.append_polydata(tool) for organ in organs]
         camera = Camera.seeing(shown[0].points, eye, (0.0, 0.0, 1.0))
         return [(each, camera) for each in shown]

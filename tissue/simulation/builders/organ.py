@@ -63,6 +63,8 @@ OF_ORGAN = {
     "modulus_kPa": "organ.young_kPa",
 }
 """Keys of a scene, keyed by the fields of `SoftMaterial`."""
+UNUSUAL = 10.0
+"""Ratio beyond the cited range of a modulus at which a run notes that the unit may be wrong."""
 LOCKING_RATIO = 0.45
 """Poisson's ratio above which a run notes that linear tetrahedra lock.
 
@@ -260,8 +262,8 @@ def _modulus_note(
 ) -> str:
     """Return a note on the moduli of an organ."""
     note = f"{young_kPa:g} kPa"
+    modulus = constants.constants("soft", organ.material)["modulus_kPa"]
     if organ.young_kPa is None:
-        modulus = constants.constants("soft", organ.material)["modulus_kPa"]
         origin = constants.origin("soft", organ.material, "modulus_kPa")
         note += f" ({origin} {modulus.low:g}-{modulus.high:g}, confidence {modulus.confidence})"
     if organ.young_end_kPa is not None:
@@ -278,6 +280,11 @@ def _modulus_note(
         note += (
             f"; {organ.fibre_modulus_ratio:g} times as stiff along its fibres, its bulk modulus "
             "as without them"
+        )
+    if not modulus.low / UNUSUAL <= young_kPa <= UNUSUAL * modulus.high:
+        note += (
+            f". Cited moduli of {organ.material} are {modulus.low:g} to {modulus.high:g} kPa: is "
+            f"organ.young_kPa = {young_kPa:g} in kPa?"
         )
     return note
 

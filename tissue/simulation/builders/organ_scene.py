@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from meshes.base.arrays import Array
 from meshes.base.cache import Kept
 from meshes.base.errors import InputError, by, names_of_caller
 from meshes.base.progress import Progress
@@ -170,6 +171,11 @@ def pressed(
             interval_s=1e-3 * organ.interval_ms if organ.interval_ms > 0.0 else inf,
             report=report,
         )
+    if isinstance(probe, SphereProbe):
+        touched = np.isin(found.mesh.surface, model.touchable).all(axis=1)
+        corners = found.mesh.nodes_m[found.mesh.surface[touched]]
+        # quadratic tetrahedra have a node in the middle of an edge
+        notes |= _area_note(corners, tips, probe.radius_m, edge_m=edge_m, order=organ.order)
     if organ.gravity:
         sag = 1e3 * np.linalg.norm(soft.rest[1], axis=1).max()
         notes["gravity"] = f"the organ sags by up to {sag:.3g} mm before it is touched"
@@ -180,6 +186,29 @@ def pressed(
         f"unknowns; {len(model.touchable)} touchable nodes, compliance {organ.path}"
     )
     return Parts(motion, model, placement=found.placement, notes=notes)
+
+
+def _area_note(
+    corners_m: Array, tips_m: Array, radius_m: float, *, edge_m: float, order: int
+) -> dict[str, str]:
+    """Return a note if edges under a ball are too long for the area of its contact.
+
+    `corners_m` contains the corners of the touchable triangles [m], shape (n, 3, 3).
+    `edge_m` is the edge length for which the mesh was made [m].
+    """
+    from scipy.spatial import cKDTree
+
+    below_m, _ = cKDTree(tips_m).query(corners_m.mean(axis=1))
+    near = corners_m[below_m <= max(0.5 * radius_m, below_m.min())]
+    # at the spacing of the contact points, longer edges are divided, and their corners have no area
+    apart_m = float(np.linalg.norm(near - np.roll(near, 1, axis=1), axis=2).max()) / order
+    if apart_m <= 0.5 * radius_m:
+        return {}
+    return {
+        "contact area": "contact_mm2 is too small: nodes under the ball are up to "
+        f"{1e3 * apart_m:.3g} mm apart, and the ball has a radius of {1e3 * radius_m:.3g} mm. Set "
+        f"anatomy.touch_edge_mm to {0.5e3 * edge_m:.3g} or less"
+    }
 
 
 def wall(scene: Scene, motion: Motion, **settings: object) -> Parts:
