@@ -194,7 +194,7 @@ The ends of a cited range are 1.6 standard deviations from its median.
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """Loads near the most probable constants.
+    """Model of the forces, valid for constants near the most probable constants.
 
     Attributes
     ----------

@@ -372,7 +372,7 @@ class Needs:
     is_absent: bool = False
 
     def why_not(self, part: "Part") -> Idle | None:
-        """Return the reason why the annotated key has no effect in a table, or None."""
+        """Return the reason why the key with this annotation has no effect in `part`, or None."""
         name = self.key.rpartition(".")[2]
         given = getattr(part, name)
         # A default means that nothing was chosen: 0 mm is no hole, and an empty name is no file.

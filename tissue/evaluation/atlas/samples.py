@@ -107,7 +107,8 @@ def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
 
 
 def over_gap(kind: FaultKind, gaps: Array) -> Table:
-    """Compute the results of `shares` for gaps of several lengths, with and without guard."""
+    """Compute the results of `shares` for gaps of several lengths in the data, with and without
+    guard."""
     guarded = np.array([shares(kind, gap, guarded=True) for gap in gaps.tolist()])
     bare = np.array([shares(kind, gap, guarded=False) for gap in gaps.tolist()])
     # A repeated sample is accepted until it is too old. A late sample is too old immediately. From

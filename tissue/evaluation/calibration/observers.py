@@ -223,11 +223,11 @@ def sensitivity(people: SimulatedObservers, first: Stimulus, second: Stimulus) -
     """Return the sensitivity d' of each person for two forces at the skin, shape (n,).
 
     The scatter of the forces between trials is included. Let t = kappa (F + offset) be the
-    threshold at the weaker force F. Let m and s be the mean and the standard deviation of the
-    difference between the two forces. The difference is then felt as a distance with mean 0.954 m /
-    t and standard deviation 0.954 s / t. In addition, each force is felt with noise of unit
-    variance. d' is the distance that gives the same fraction of right answers if the forces have no
-    scatter.
+    threshold at the weaker force F, with the person's Weber fraction kappa and offset. Let m and s
+    be the mean and the standard deviation of the difference between the two forces. On the scale of
+    d', the difference is then felt with mean 0.954 m / t and standard deviation 0.954 s / t, where
+    0.954 is d' at the threshold. In addition, each force is felt with noise of unit variance. d' is
+    the distance that gives the same fraction of right answers if the forces have no scatter.
     """
     weaker = min(first.level_N, second.level_N)
     per_newton = D_PRIME_75 / (people.kappa * (weaker + people.offset_N))

@@ -42,8 +42,8 @@ class ToothModel(MilledTissue):
     voxels that the pulp filled at the start. Once the bur is in dentin, the smallest distance so
     far is the smallest thickness of the remaining dentin. Before that, the distance also includes
     enamel and air. The error of the distance is half a voxel. If the voxels contain no pulp, the
-    distance is not measured. The pulp is then farther away than the margin of the voxels around the
-    bur's reach.
+    distance is not measured. The voxels extend beyond the region that the bur can reach by a
+    margin; the pulp is then farther from the bur than this margin.
 
     If stress is computed, the tooth moves in every tick as a rigid body under the force, with the
     compliance of its ligament. The motion is reported at the centroid of the tooth's material, and

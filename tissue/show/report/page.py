@@ -311,7 +311,7 @@ def band_lines(band: Summary) -> Iterator[str]:
     """Yield sentences about an uncertainty band.
 
     The sentences state the number of samples, the 90 % intervals of summary values, and the names
-    of failed samples, which are left out.
+    of failed samples. The intervals do not include the failed samples.
     """
     yield _band_text(band)
     for name, ends in band.items():
