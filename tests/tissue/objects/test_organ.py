@@ -1,5 +1,7 @@
 """A soft organ in the hand: what it is made from, what a press gives, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import pyvista
@@ -117,6 +119,10 @@ def off_middle(
         BALL, depth_mm=2.0, at_mm=turn @ place + moved_mm, along=turn @ np.array([0.3, 0.2, -1.0])
     )
     return press.force_N @ turn, press
+
+
+def test_a_press_without_notes_prints_no_empty_part(press):
+    assert repr(replace(press, notes={})).endswith(" mm2)")
 
 
 @pytest.fixture(scope="module")
