@@ -153,7 +153,7 @@ def read_collection(index: Path) -> list[tuple[float, int, str]]:
     try:
         root = ElementTree.fromstring(index.read_bytes())
         entries = [
-            (float(one.attrib["timestep"]), int(one.attrib["part"]), one.attrib["file"])
+            (float(one.attrib["timestep"]), int(one.attrib.get("part", 0)), one.attrib["file"])
             for one in root.iter("DataSet")
         ]
         moments = [entry[:2] for entry in entries]
