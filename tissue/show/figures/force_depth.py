@@ -169,8 +169,8 @@ def draw_insertion(run: Run, path: Path) -> None:
     over_depth, over_time = panels
     inward = np.gradient(depth) > 0.0
     for chosen, colour, label in (
-        (inward, "#0072B2", "pushed in"),
-        (~inward, "#D55E00", "drawn out"),
+        (inward, "#0072B2", "insertion"),
+        (~inward, "#D55E00", "withdrawal"),
     ):
         shown = np.where(chosen, force, np.nan)
         over_depth.plot(depth, shown, color=colour, linewidth=1.8, label=label)

@@ -233,17 +233,17 @@ A wider legend would leave the panels only a part of the figure's width.
 MOMENT_S = 0.06
 """Duration [s] of an enlarged interval, in which latencies of milliseconds are visible."""
 LINES: tuple[tuple[str, str, dict[str, Any]], ...] = (
-    ("model_force", "the tissue's, at the device's scale", {"color": "0.6", "linewidth": 3.0}),
-    ("raw_force", "as the renderer gives it", {"color": "#0072B2", "linewidth": 1.6}),
+    ("model_force", "tissue force times the force scale", {"color": "0.6", "linewidth": 3.0}),
+    ("raw_force", "force of the renderer", {"color": "#0072B2", "linewidth": 1.6}),
     (
         "predicted_force",
-        "as predicted over the delay",
+        "predicted force",
         {"color": "#CC79A7", "linewidth": 1.3, "linestyle": (0, (1, 1))},
     ),
-    ("device_force", "as the device played it", {"color": "#D55E00", "linewidth": 2.2}),
+    ("device_force", "played by the device", {"color": "#D55E00", "linewidth": 2.2}),
     (
         "filtered_force",
-        "as commanded, after low-pass and delay",
+        "commanded, after low-pass and delay",
         {"color": "0.1", "linewidth": 1.0, "linestyle": (0, (4, 3))},
     ),
 )
@@ -272,8 +272,8 @@ def draw_played(run: Run, path: Path) -> None:
     heights = (2.4, 2.0, 1.5, 1.2)[: 3 + turns]
     # 1 in for title, legends and the label of the axis
     chart, panels = panelled(
-        f"{run.scene.name}: what the {held.kind} played ({held.hand}, {held.renderer}); "
-        f"{scale:g} N for each newton at the tool",
+        f"{run.scene.name}: force at the {held.kind} (hand: {held.hand}, renderer: "
+        f"{held.renderer}, force scale: {scale:g})",
         (8.0, 1.0 + sum(heights)),
         len(heights),
         height_ratios=heights,
