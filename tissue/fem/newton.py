@@ -382,7 +382,7 @@ def press_at(
 def resting_sphere(
     solver: NewtonSolver, point_m: Array, direction: Array, radius_m: float, tolerance: float
 ) -> tuple[RigidSphere, float]:
-    """Return a sphere at its first touch of a node on the way towards a point [m].
+    """Return a sphere at its first touch of a node as it moves to a point [m].
 
     The second value is the position of the sphere's centre relative to the point [m], measured
     along the direction of motion. It is negative in front of the point.

@@ -42,8 +42,8 @@ class Hardware(Part):
     The key has no effect on a simulated device.
     """
     ramp_ms: float = Field(500.0, ge=0, le=10_000)
-    """Time in which the force increases from zero to its full value. The force increases in this
-    way after the start, after the release of the clutch button, after the press of the force
+    """Time in which the force increases from zero to its full value. The force increases
+    like this after the start, after the release of the clutch button, after the press of the force
     button, and after an interruption of the connection.
     """
     watchdog_ms: float = Field(20.0, ge=2, le=1000)

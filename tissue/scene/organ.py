@@ -54,7 +54,7 @@ class Held(SoftAnatomy):
     kind: Literal["liver"] = "liver"
     """A liver, or the organ in `file`."""
     held: Literal["below", "back", "plane", "part"] = "below"
-    """Where the organ is fixed: `below` is the lower surface, `back` the back surface, `plane` the
+    """Fixed part of the organ: `below` is the lower surface, `back` the back surface, `plane` the
     surface below the height `held_below_mm`, and `part` the part `held_part` of the file.
     """
     held_below_mm: Annotated[float, Needs("anatomy.held", "plane")] = Field(-80.0, ge=-1000, le=0)

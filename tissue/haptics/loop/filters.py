@@ -1,4 +1,4 @@
-"""Processing of a force on its way to the device: low-pass, delay, range and slew limit."""
+"""Processing of a force before the device plays it: low-pass, delay, range and slew limit."""
 
 from collections import deque
 from dataclasses import dataclass

@@ -102,7 +102,7 @@ class CuttingTool(HeldTool):
     tool would reach with its present velocity. Newton's method solves this force balance. The force
     is differentiable except at kinks, where it has different slopes on the two sides (semi-smooth).
 
-    For a device that can apply torque, the angular velocity is computed in the same way. The
+    For a device that can apply torque, the angular velocity is computed by a second balance. This
     balance of torques contains the moment of inertia about the tip, the rotational spring and a
     damper. Otherwise, the tool turns with the device.
 

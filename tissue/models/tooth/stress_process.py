@@ -107,7 +107,7 @@ class InlineStressSolver:
 
     @property
     def scheduling(self) -> str:
-        """Text that says where the stress is computed."""
+        """Description of where the stress is computed."""
         return "between the ticks"
 
     def begin(self, state: Drilled) -> None:
