@@ -29,7 +29,7 @@ def test_the_blocks_of_the_page_run_in_turn(tmp_path):
     )
     assert ended.returncode == 0, ended.stderr
     expected, device, removed, names, energy, anatomy, scene, stopped = ended.stdout.splitlines()
-    assert "off by" in expected and "my-pen is read and played by MyPen [0. 0. 0.]" in device
+    assert "RMS error" in expected and "my-pen is read and played by MyPen [0. 0. 0.]" in device
     assert 0.0 < float(removed) < 10.0 and names == "('foam',)" and energy.startswith("foam 0.015")
     assert "stiffness_N_m=50.0" in anatomy and scene == "soft-wall"
     end_s, force_N = map(float, stopped.split())
