@@ -74,7 +74,10 @@ def test_a_structure_that_the_tooth_does_not_have_is_refused_with_the_remedy(lay
     without = scene | {"anatomy.pulp_file": None}
     for changes, remedy in (
         (without | {"keep_clear.names": ["pulp"]}, "Set anatomy.pulp_file"),
-        (without | {"keep_clear.names": ["nerve"]}, r"Give a surface of nerve in \[keep_clear.files\]"),
+        (
+            without | {"keep_clear.names": ["nerve"]},
+            r"Give a surface of nerve in \[keep_clear.files\]",
+        ),
         (scene | {"keep_clear.names": ["nerve"]}, r"\(pulp\), got nerve. Use pulp, or give"),
     ):
         with pytest.raises(InputError, match=remedy):
