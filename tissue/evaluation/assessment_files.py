@@ -45,6 +45,10 @@ def assessment_lines(found: Assessment) -> list[str]:
             f"least distance to {name}: {each['trainee']:.2f} mm against {each['reference']:.2f}"
             for name, each in figures["least_distance_mm"].items()
         ),
+        (
+            f"limits: force {found.force.limit:.3g} N, distance from the path "
+            f"{found.deviation.limit:.3g} mm, depth {found.depth.limit:.3g} mm"
+        ),
         *_structure_lines(found),
         *(f"limit exceeded: {each.sentence}" for each in found.breaches[:MOST_BREACHES]),
         *([f"limits were exceeded {more} more times"] if more > 0 else []),

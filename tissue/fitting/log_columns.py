@@ -214,7 +214,7 @@ def suggested(missing: Sequence[str], names: Sequence[str]) -> str:
 
 
 def _is_like(name: str, header: str) -> bool:
-    """Return True if a header such as "Fx [mN]" may stand for a quantity along an axis."""
+    """Return True if a header such as "Fx [mN]" can name a quantity along an axis."""
     measure = QUANTITIES[name]
     if measure not in ("length", "force"):
         return measure == "time" and bool(unit_of(header, "time"))

@@ -480,7 +480,7 @@ def _chosen(field: FieldInfo, table: Table) -> type[BaseModel]:
 
 
 def _by_kind(field: FieldInfo) -> ByKind | None:
-    """Return the `ByKind` annotation of a field; None if it has none."""
+    """Return the `ByKind` annotation of a field, or None."""
     return next((each for each in field.metadata if isinstance(each, ByKind)), None)
 
 

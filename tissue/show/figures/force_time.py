@@ -195,7 +195,7 @@ def _draw_components(
     axes.fill_between(
         time, size, color=MAGNITUDE, linewidth=0.0, zorder=0, label="magnitude, as commanded"
     )
-    axes.plot([], [], color="0.2", linewidth=1.1, label="thin: as the model gives it")
+    axes.plot([], [], color="0.2", linewidth=1.1, label="thin: force of the model")
     wide = "wide: as commanded, after low-pass and vibration"
     axes.plot([], [], color="0.2", linewidth=2.4, alpha=COMMANDED, label=wide)
     axes.set_ylabel(label)

@@ -274,7 +274,7 @@ def draw_held(run: Run, path: Path) -> str | None:
         ]
         shaded.chart.legend(handles=handles, loc="lower center", ncols=3, frameon=False)
 
-    title = f"{run.scene.name}: what holds the organ"
+    title = f"{run.scene.name}: supports of the organ"
     return draw_shaded(
         make, path, annotate, margins_px=HELD_HEIGHTS_PX, title=title, names=list(EYES)
     )
