@@ -234,7 +234,7 @@ def test_a_kill_at_any_moment_loses_only_the_work_in_progress(tmp_path, whole, k
 STOPPED = {
     **{kind: line for kind, (line, *_) in CASES.items()},
     "pictures": MOLAR[:-1],
-    "train": ("train", "wall", "--trials", "6", "--set", "duration_s=0.5"),
+    "train": ("train", "wall", "--trials", "6", "--set", "duration_s=1"),
     "atlas": ("stability", "--only", "wall_map"),
 }
 

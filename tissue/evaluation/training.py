@@ -195,6 +195,7 @@ def fit(scene: str, runs: Sequence[Recording]) -> Trained:
         "groups": [run.group for run in runs],
         "seeds": [run.seed for run in runs],
     }
+    moments.check()
     operator = DelayOperator(moments, MARGIN * _largest_square(moments, seen_in_runs))
     return Trained(scene, operator, facts=facts)
 

@@ -102,6 +102,16 @@ class Moments:
         """Mean square of the displacement between successive delays, summed over all delays."""
         return float(np.diag(self.coordinates)[: len(DELAYS) - 1].sum())
 
+    def check(self) -> None:
+        """Raise an InputError if a coordinate is always zero."""
+        if not (np.diag(self.coordinates) > 0.0).all():
+            raise InputError(
+                "trials",
+                "have a tool that moves in contact with the tissue",
+                "no such trial",
+                "use a longer duration_s",
+            )
+
     def weights(self) -> Array:
         """Return the weights that predict the targets, shape (2 HORIZON, COORDINATES).
 
@@ -110,13 +120,7 @@ class Moments:
         InputError
             If a coordinate is always zero.
         """
-        if not (np.diag(self.coordinates) > 0.0).all():
-            raise InputError(
-                "trials",
-                "have a tool that moves and touches the tissue",
-                "none in any trial",
-                "use a longer duration",
-            )
+        self.check()
         path = PATH_COORDINATES
         displacement = _solved(
             path @ self.coordinates @ path.T, path @ self.targets[:, :HORIZON], PATH_RIDGE

@@ -1,5 +1,6 @@
 """Training: its trials, what it writes, the shipped predictors, and the latency that they hide."""
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from tissue import load_scene, simulate
 from tissue.evaluation.charts.prediction import predictable
 from tissue.evaluation.recorded_runs import Recorder, trial
 from tissue.evaluation.statistics.metrics import force_error
-from tissue.evaluation.training import validated, with_fallback
+from tissue.evaluation.training import fit, validated, with_fallback
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.registry import PREDICTORS
 from tissue.simulation.builders.force_met import chosen_scale
@@ -116,6 +117,11 @@ def test_runs_without_a_touch_set_no_figure():
     )
     with pytest.raises(InputError, match="trials must leave a run with contact"):
         validated(trained, [free], 3.3)
+    still = replace(run, position_m=np.zeros_like(run.position_m))
+    for runs, fault in (([free] * 8, "touches"), ([still] * 8, "moves in contact")):
+        with warnings.catch_warnings(), pytest.raises(InputError, match=fault):
+            warnings.simplefilter("error")
+            fit("wall", runs)
 
 
 @pytest.mark.slow
