@@ -96,8 +96,9 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
         ]
         if beyond:
             found["membranes"] = (
-                f"not all reached: the needle tip went {deepest:.3g} mm deep, and these "
-                f"lie deeper: {', '.join(beyond)}; see anatomy.membrane_depths_mm"
+                f"not all reached: the needle tip went {deepest:.3g} mm deep into the tissue, "
+                "measured from the deflected surface, and these lie deeper: "
+                f"{', '.join(beyond)}; see anatomy.membrane_depths_mm"
             )
     if isinstance(scene.anatomy, Bone) and scene.anatomy.density_file is not None:
         start = dict(zip(parts.tissue.layer_names, parts.tissue.start_m3.tolist(), strict=True))

@@ -11,6 +11,9 @@ from tissue.models.needle.parameters import LEAST_COSINE, NeedleTissue, positive
 from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import Response, ToolMotion
 
+ASIDE_M = 5e-3
+"""Sideways motion of a needle inside the organ [m] that causes an event, chosen by judgement."""
+
 
 class Insertion:
     """One track of a needle, in one dimension.
@@ -259,7 +262,8 @@ class NeedleModel:
     """Organ under the plane z = 0 with a needle that moves in and out along its axis.
 
     The force is computed by `tissue.models.needle.model.Insertion` and acts along the needle's
-    axis. Sideways motion or rotation of the needle inside the organ has no resistance. Travel and
+    axis. Sideways motion or rotation of the needle inside the organ has no resistance. An event
+    reports a sideways motion of more than `ASIDE_M` from the track. Travel and
     inserted length are measured along the axis, from its intersection with the undeformed surface.
     Membranes are parallel to the surface. Their inserted lengths follow from the direction of the
     needle at its entry, and a later rotation does not change them. Only the latest track is stored.
@@ -309,6 +313,7 @@ class NeedleModel:
         self._fields = fields
         self._diameter_m = diameter_m
         self._entry_m = np.full(3, np.nan)
+        self._is_aside = False
         membranes = tuple(membrane.name for membrane in tissue.membranes)
         surface = sum(membrane.depth_m == 0.0 for membrane in tissue.membranes)
         self.layer_names = (*membranes[:surface], "parenchyma", *membranes[surface:])
@@ -338,6 +343,7 @@ class NeedleModel:
             )
         self.insertion = Insertion(self.tissue, travel_m=travel)
         self._entry_m[:] = np.nan
+        self._is_aside = False
 
     def advance(self, motion: ToolMotion) -> None:
         """Move the needle to its new pose, with elastic deflection, cutting and friction."""
@@ -361,12 +367,14 @@ class NeedleModel:
                 )
             self.notices.append(what)
             punctured += 1
+        if insertion.inserted_m > 0.0 and not self._is_aside:
+            self._notice_sideways(motion, travel)
         if inside and insertion.inserted_m == 0.0:
             self.notices.append("the needle has left the organ")
 
     def state(self) -> State:
         """Return a copy of the state on which later ticks depend."""
-        return copied(self, ("insertion", "_entry_m"))
+        return copied(self, ("insertion", "_entry_m", "_is_aside"))
 
     def restore(self, state: State) -> None:
         """Restore a state that `state` has returned."""
@@ -447,10 +455,22 @@ class NeedleModel:
         is_new = not np.linalg.norm(entry - self._entry_m) <= self._diameter_m
         if is_new:
             self._entry_m[:] = entry
+            self._is_aside = False
         # Where nothing is cut yet, the track has the direction of the needle.
         if is_new or self.insertion.cut_m == 0.0:
             self.insertion = Insertion(self.tissue, cosine=float(motion.rotation[2, 2]))
         return self.insertion
+
+    def _notice_sideways(self, motion: ToolMotion, travel_m: float) -> None:
+        """Add an event if the axis of the needle has left its entry sideways."""
+        axis = motion.rotation[:, 2]
+        x, y = motion.tip_m[:2] + travel_m * axis[:2] - self._entry_m[:2]
+        if x * x + y * y > ASIDE_M**2:
+            self._is_aside = True
+            self.notices.append(
+                f"the needle has moved {1e3 * ASIDE_M:g} mm sideways in the organ: forces across "
+                "its axis are not modelled"
+            )
 
     def _layer(self) -> int:
         """Return the index of the layer that the tip touches."""

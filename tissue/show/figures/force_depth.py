@@ -163,7 +163,8 @@ def draw_insertion(run: Run, path: Path) -> None:
     trace = run.trace
     time = trace["time_s"]
     depth = -trace["tool_z_mm"]
-    force = trace["model_force_z_N"]
+    axes_of_tool = tool_axes(trace.quaternions())
+    force = np.einsum("ij,ij->i", trace.vectors("model_force", "N"), axes_of_tool)
     # inches: two panels of equal height
     chart, panels = panelled(f"{run.scene.name}: axial force on the needle", (8.0, 6.4), 2)
     over_depth, over_time = panels
