@@ -112,7 +112,8 @@ class Loop:
         device
             Object with ``read(time_s)``, which returns a `tissue.Sample` in metres or None, and
             ``command(force_N, torque_Nm)``. If the object is a context manager, the loop enters and
-            exits it. None if the tool is moved by `step`.
+            exits it. None if the tool is moved by `step`. A device needs a bone or an organ. For a
+            scene, use ``tissue.simulate(scene, device=...)``.
         start_mm
             Position of the tip at the start [mm], shape (3,). The origin of the device corresponds
             to this position. The default is 2 mm above the middle of the tissue.
@@ -190,7 +191,12 @@ class Loop:
         judged: JudgedDevice | None = None
         prepared: Region | None = None
         if isinstance(tissue, Scene):
-            given = {"tool": tool, "device": device, "start_mm": start_mm, "axis": axis}
+            if device is not None:
+                raise InputError(
+                    "tissue.Loop couples a device to a bone or an organ, but not to a scene. For a "
+                    "scene, use tissue.simulate(scene, device=...)"
+                )
+            given = {"tool": tool, "start_mm": start_mm, "axis": axis}
             leave_out(given | {"keep_clear": keep_clear} | options, "with a scene")
             made_from = scene_arguments(tissue)
             parts, prepared = posed_parts(tissue, reach_m=reach_m, cores=cores)
@@ -296,7 +302,9 @@ class Loop:
             Pose of the tool at the end of the step, in the frame of the tissue. Three forms are
             accepted: a tip position [mm], shape (3,), with unchanged orientation; a tip position
             and a quaternion (x, y, z, w), shape (7,); or a homogeneous matrix, shape (4, 4). The z
-            axis of the tool points from tip to shank. Leave out the pose if there is a device.
+            axis of the tool points from tip to shank. Leave out the pose if there is a device. The
+            first pose has the time 0 in the trace. In a run of a scene, the start of the path has
+            the time 0. For the times of the run, give the start pose first.
         velocity
             Velocity of the tip [mm/s], shape (3,), or velocity and angular velocity [rad/s] in one
             array, shape (6,). The default is the change of the pose divided by the duration of the
