@@ -36,6 +36,7 @@ from tissue.scene.organ import (
 from tissue.scene.part import is_given
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
+from tissue.simulation.builders.arguments import UNUSUAL
 from tissue.simulation.builders.organ_given import SoftMaterial, hold_of
 from tissue.simulation.builders.parts import FILE_WORDS
 
@@ -63,8 +64,6 @@ OF_ORGAN = {
     "modulus_kPa": "organ.young_kPa",
 }
 """Keys of a scene, keyed by the fields of `SoftMaterial`."""
-UNUSUAL = 10.0
-"""Ratio beyond the cited range of a modulus at which a run notes that the unit may be wrong."""
 LOCKING_RATIO = 0.45
 """Poisson's ratio above which a run notes that linear tetrahedra lock.
 
