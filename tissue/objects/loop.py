@@ -182,6 +182,7 @@ class Loop:
             step_ms=step_ms,
             reach_mm=reach_mm,
         )
+        self._of = tissue.name if isinstance(tissue, Scene) else type(tissue).__name__
         self._closing = ExitStack()
         self._warned = set[str]()
         self._device: HandMotion | None = None
@@ -520,8 +521,7 @@ class Loop:
 
     def __repr__(self) -> str:
         return (
-            f"Loop({type(self._loop.parts.tissue).__name__}, {self.ticks} ticks; "
-            f"{self.notes.get('coupling', 'moved by step')})"
+            f"Loop({self._of}, {self.ticks} ticks; {self.notes.get('coupling', 'moved by step')})"
         )
 
 
