@@ -441,7 +441,9 @@ def _remedy(field: FieldInfo) -> str:
     value = field.examples[0] if field.examples else field.default
     if value == "":
         return "put it in quotes"
-    return f"use {_toml(value)}" if isinstance(value, FITTING) else SEE
+    # The elements of a list belong to the user's scene, so that the value is only an example.
+    such = "a value such as " if isinstance(value, list | tuple) else ""
+    return f"use {such}{_toml(value)}" if isinstance(value, FITTING) else SEE
 
 
 def _addition(names: tuple[str, ...], field: FieldInfo) -> str:

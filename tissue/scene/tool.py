@@ -262,7 +262,9 @@ class Motion(Part):
         """Check that `axis` is not the zero vector."""
         # A vector that consists of rounding errors has no direction.
         if math.hypot(*self.axis) < 1e-9:
-            raise InputError("motion.axis", "have a length", "(0, 0, 0)", "use [0, 0, 1]")
+            raise InputError(
+                "motion.axis", "have a length", "(0, 0, 0)", "use a direction such as [0, 0, 1]"
+            )
 
 
 class PathMotion(Motion):
