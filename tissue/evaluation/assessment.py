@@ -244,8 +244,8 @@ def assess(
     require_positive(
         "force_limit_N", limit, "use a reference that touches the tissue, or give --force-limit-N"
     )
-    require_positive("deviation_limit_mm", deviation_limit_mm, "use 1")
-    require_positive("overshoot_limit_mm", overshoot_limit_mm, "use 0.5")
+    require_positive("deviation_limit_mm", deviation_limit_mm, "use a value such as 1")
+    require_positive("overshoot_limit_mm", overshoot_limit_mm, "use a value such as 0.5")
     if not force.any():
         raise NoSharedContactError("touches nothing")
     if not ideal_force[rows].any():

@@ -189,8 +189,8 @@ def path_note(scene: Scene, parts: Parts, apart_mm: dict[str, float] | None) -> 
     felt_N = smaller * force_met(scene).force_N
     if 0.0 < felt_N < friction_N:
         note += (
-            f". The largest force at the device is then {felt_N:.2g} N, and the friction of "
-            f"{scene.held.kind}, {friction_N:g} N, hides this force. Use a device with less friction"
+            f". The largest force at the device is then {felt_N:.2g} N. The friction of "
+            f"{scene.held.kind}, {friction_N:g} N, hides this force: use another device"
         )
     return {"distance from the path": note}
 
