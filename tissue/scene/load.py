@@ -349,13 +349,9 @@ def _scene(
         raise found
     if warns and dropped:
         keys = ", ".join(sorted(dropped))
-        verb = "has" if len(dropped) == 1 else "have"
-        warnings.warn(
-            f"{keys} of the scene {verb} no effect after the changes, and will not be used",
-            DroppedKeyWarning,
-            # Level 5 is the caller of `load_scene`, which has a decorator.
-            stacklevel=5,
-        )
+        sentence = f"the changes leave {keys} of the scene without effect"
+        # Level 5 is the caller of `load_scene`, which has a decorator.
+        warnings.warn(sentence, DroppedKeyWarning, stacklevel=5)
     return found
 
 

@@ -65,8 +65,7 @@ def test_a_note_names_keys_that_an_override_makes_ineffective(command, here):
     options = ("--set", "voxels.spacing_mm=0.5", "--duration-s", 0.01, "--no-pictures")
     code, _, problems = command("run", "pedicle", *options, "--set", "device=touch")
     assert code == 0 and problems == (
-        "note: motion.max_feed_mm_s of the scene has no effect after the changes, and will not be "
-        "used\n"
+        "note: the changes leave motion.max_feed_mm_s of the scene without effect\n"
     )
 
 
