@@ -193,7 +193,7 @@ def load_scene(
         Values that replace values of the scene, keyed by dotted key, such as
         ``{"voxels.spacing_mm": 0.2}``. Keys of the table ``device`` may be given without the name
         of the table: ``hand``, ``coupling.delay_ms``. If an override makes another key of the scene
-        ineffective, that key is removed.
+        ineffective, that key is removed, and a warning names it.
     live
         True for a live run, in which the mouse moves the tool if the scene names no device.
 
