@@ -198,7 +198,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         self.force_limit_N = require_positive(
             "force_limit_N",
             self.usual_force_limit_N if force_limit_N is None else force_limit_N,
-            f"use {self.usual_force_limit_N:g}",
+            f"use a value such as {self.usual_force_limit_N:g}",
         )
         self.duration_s = require_range(
             "duration_s",
@@ -206,7 +206,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
             # An episode must last several steps. The limit of ten minutes detects typing errors.
             0.1,
             600.0,
-            f"use {self.usual_duration_s:g}",
+            f"use a value such as {self.usual_duration_s:g}",
         )
         self._steps = max(round(self.duration_s / (self.ticks * TICK_S)), 1)
         self._scales = np.concatenate([np.full(each.count, each.scale) for each in self.entries])

@@ -114,7 +114,7 @@ def self_test(
         If there are too few samples. `DeviceError` is raised if positions leave the device's reach,
         for example because they are in millimetres.
     """
-    require_range("seconds", seconds, 0.1, 600.0, "use 2")
+    require_range("seconds", seconds, 0.1, 600.0, "use a value such as 2")
     zero = np.zeros(3)
     times = list[float]()
     calls = list[float]()
