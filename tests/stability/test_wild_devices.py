@@ -17,10 +17,20 @@ from tissue.scene.registry import RENDERERS
 
 TICK, SECONDS, STIFFNESS_N_M = 1e-3, 1.2, 1500.0
 FAULT_S = (0.8, 0.9)
-KINDS = ("dropped", "late", "duplicated", "non-finite", "wild")
+FAULTS = [
+    Fault(kind, *FAULT_S, jump_m=jump_m)
+    for kind, jump_m in (
+        ("dropped", 0.0),
+        ("late", 0.0),
+        ("duplicated", 0.0),
+        ("jump", np.nan),
+        ("jump", 1e9),
+    )
+]
+NO_FAULT = Fault("dropped", SECONDS, SECONDS)
 
 
-def pressed(kind, faults=(), *, seconds=SECONDS, **hand):
+def pressed(kind, fault=NO_FAULT, *, seconds=SECONDS, **hand):
     """Press 5 mm into a wall with a quiet expert's hand; run, guard, and the simulated device."""
     device = device_parameters("omni")
     path = waypoints([0.0, 1e-3], [[0.0, 0.0, 5e-3], [0.0, 0.0, -5e-3]])
@@ -28,20 +38,20 @@ def pressed(kind, faults=(), *, seconds=SECONDS, **hand):
     simulated = SimulatedDevice(device, holding, position_m=(0.0, 0.0, 5e-3))
     guard = SampleGuard(force_limit_N=device.force_limit_N)
     law = renderer(kind, device.loop(STIFFNESS_N_M))
-    run = press_wall(FaultyDevice(simulated, faults), law, duration_s=seconds, guard=guard)
+    run = press_wall(FaultyDevice(simulated, fault), law, duration_s=seconds, guard=guard)
     return run, guard, simulated
 
 
 @pytest.mark.parametrize("kind", RENDERERS)
-@pytest.mark.parametrize("fault", KINDS)
+@pytest.mark.parametrize("fault", FAULTS, ids=str)
 def test_a_faulty_device_fades_and_comes_back(kind, fault):
-    run, guard, simulated = pressed(kind, [Fault(fault, *FAULT_S)])
+    run, guard, simulated = pressed(kind, fault)
     limit = device_parameters("omni").force_limit_N
     size = np.linalg.norm(run.force_N, axis=1)
     at = lambda seconds: int(seconds / TICK)  # noqa: E731
     assert np.isfinite(run.force_N).all() and size.max() <= limit * (1 + 1e-12)
     assert size[at(0.79)] > 0.3
-    if fault != "late":  # late ones are accepted again as long as they are young enough
+    if fault.kind != "late":  # late ones are accepted again as long as they are young enough
         assert not size[at(FAULT_S[0] + 0.03) : at(FAULT_S[1]) - 1].any(), "a stale force stays"
     assert size[at(1.15)] > 0.3, "the force does not come back"
     jumps = np.abs(np.diff(size[at(FAULT_S[0]) - 1 : at(FAULT_S[1])]))
@@ -58,7 +68,7 @@ def test_a_faulty_device_fades_and_comes_back(kind, fault):
 
 
 def test_one_missing_sample_takes_a_twentieth_of_the_force():
-    run, guard, _ = pressed("penalty", [Fault("dropped", 0.8, 0.801)])
+    run, guard, _ = pressed("penalty", Fault("dropped", 0.8, 0.801))
     assert guard.bad_ticks == 1
     size = np.linalg.norm(run.force_N, axis=1)
     assert size[800] == pytest.approx(0.95 * size[799], rel=1e-6)

@@ -11,7 +11,7 @@ import pytest
 
 from tissue import InputError
 from tissue.haptics.device.device import DeviceParameters, Sample, device_parameters
-from tissue.haptics.device.recorded import FaultyDevice, MouseDevice, RecordedDevice
+from tissue.haptics.device.recorded import Fault, FaultyDevice, MouseDevice, RecordedDevice
 from tissue.haptics.device.simulated import Plant, SimulatedDevice
 from tissue.haptics.hand.hand import Grip, Hand, HandAction, hand_parameters
 from tissue.haptics.loop.filters import ForceRange
@@ -200,7 +200,7 @@ MAKERS = {
     "six-dof": lambda: SimulatedDevice(device_parameters("six-dof")),
     "recorded": lambda: RecordedDevice(*RECORD),
     "mouse": a_mouse,
-    "faulty": lambda: FaultyDevice(a_hand(), ()),
+    "faulty": lambda: FaultyDevice(a_hand(), Fault("dropped", 9.0, 9.0)),
 }
 
 
