@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from held_back import held_back
 
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import Fault, FaultyDevice
@@ -18,7 +19,6 @@ from tissue.haptics.renderer import ProxyRenderer
 from tissue.haptics.rigid_wall import press_wall
 from tissue.perception.laws import weber_of
 from tissue.perception.observer import population_observer
-from tissue.perception.perceived import held_back
 from tissue.simulation.builders.prediction import CAUTION, perception
 
 TICK = 1e-3
