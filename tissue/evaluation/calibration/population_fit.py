@@ -31,18 +31,7 @@ def pooled_trials(sessions: list[Session]) -> PopulationTrials:
     numbers = [
         (who, force, number) for who, each in enumerate(sessions) for force, number in each.given
     ]
-    who_compared, base_N, step_N, right = np.array(compared).reshape(-1, 4).T
-    who_rated, force_N, number = np.array(numbers).reshape(-1, 3).T
-    return PopulationTrials(
-        observers=len(sessions),
-        who_compared=who_compared.astype(int),
-        base_N=base_N,
-        step_N=step_N,
-        right=right.astype(bool),
-        who_rated=who_rated.astype(int),
-        force_N=force_N,
-        number=number,
-    )
+    return PopulationTrials(len(sessions), np.array(compared), np.array(numbers))
 
 
 def new_person(fit: PopulationFit, *, trials: int, rng: np.random.Generator) -> Observer:
