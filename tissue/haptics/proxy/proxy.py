@@ -10,6 +10,7 @@ nearest to the device could end on the far side of a thin wall.
 
 from dataclasses import dataclass, field
 from math import ceil, isfinite, sqrt
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -368,7 +369,8 @@ class Proxy:
 def _contacts(points: int, field: ContactField, *, device: str) -> Contacts:
     """Allocate memory for all possible contacts of a shell with ``points`` points."""
     slots = field.box_count + (VOXEL_PLANES if field.spacing_m > 0.0 else 0)
-    shapes = {
+    struct: Any = Contacts
+    shapes: dict[str, Any] = {
         "wake": points,
         "plane_normal": (points, VOXEL_PLANES),
         "plane_offset": (points, VOXEL_PLANES),
@@ -378,8 +380,8 @@ def _contacts(points: int, field: ContactField, *, device: str) -> Contacts:
     }
     arrays = {
         name: wp.zeros(shapes.get(name, points * slots), dtype=kind.type.dtype, device=device)
-        for name, kind in Contacts.vars.items()
+        for name, kind in struct.vars.items()
         if name != "slots"
     }
-    contacts: Contacts = filled(Contacts, device, slots=slots, **arrays)
+    contacts: Contacts = filled(struct, device, slots=slots, **arrays)
     return contacts
