@@ -263,10 +263,6 @@ class AdaptiveThreshold:
         mean = logs @ self.posterior
         return np.exp(mean), np.sqrt(np.maximum(logs**2 @ self.posterior - mean**2, 0.0))
 
-    def lapse(self) -> Array:
-        """Return the posterior mean of the lapse rate, shape (observers,)."""
-        return self._lapse @ self.posterior
-
     def weber_quantiles(self, shares: Array) -> Array:
         """Return quantiles of the Weber fraction, shape (n, observers), at n probabilities.
 
