@@ -197,13 +197,19 @@ def main() -> NoReturn:
 
 @contextmanager
 def _plain_warnings() -> Iterator[None]:
-    """Show warnings about plugins in installed packages as one line, without the code location."""
+    """Show warnings of this program as one line, without the code location.
+
+    Notes on keys without effect are shown after the command, and not together with an error.
+    """
+    notes: list[str] = []
     with warnings.catch_warnings():
         others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
             """Print a warning of this program; pass other warnings to the interpreter."""
             # compared by name, since help does not import their modules
+            if category.__name__ == "DroppedKeyWarning":
+                return notes.append(str(message))
             if category.__name__ not in ("PluginWarning", "OldSceneWarning"):
                 return others(message, category, *where, **more)
             from rich.markup import escape
@@ -211,7 +217,13 @@ def _plain_warnings() -> Iterator[None]:
             problems.print(f"[yellow]warning:[/yellow] {escape(str(message))}", markup=True)
 
         warnings.showwarning = show
-        yield
+        try:
+            yield
+        finally:
+            # A command without an error ends with SystemExit.
+            if not isinstance(sys.exception(), Exception):
+                for note in notes:
+                    problems.print(f"note: {note}")
 
 
 def _print_offered() -> None:

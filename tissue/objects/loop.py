@@ -439,7 +439,9 @@ class Loop:
         device = self._device
         if device is None:
             raise InputError("run", "have a device", "none", "move the tool by step(pose)")
-        count = round(require_range("seconds", seconds, TICK_S, LONGEST_S, "use 10") / TICK_S)
+        count = round(
+            require_range("seconds", seconds, TICK_S, LONGEST_S, "use a value such as 10") / TICK_S
+        )
         clock = WallClock() if real_time else None
         if self._organ is not None:
             self._organ.waits = not real_time

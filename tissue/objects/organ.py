@@ -416,7 +416,8 @@ class Organ:
             1e-3 * require_vector("at_mm", at_mm),
             along,
             depth_m=1e-3 * depth,
-            speed_m_s=1e-3 * require_positive("speed_mm_s", speed_mm_s or SPEED_MM_S, "use 10"),
+            speed_m_s=1e-3
+            * require_positive("speed_mm_s", speed_mm_s or SPEED_MM_S, "use a value such as 10"),
             hold_s=require_range("hold_s", hold_s, 0.0, 3600.0, "use 0 for none"),
             report=progress,
         )

@@ -321,4 +321,4 @@ class Organ(Part):
     def require_valid(self) -> None:
         """Check that the exponent of an Ogden law is not 0."""
         if self.exponent == 0.0:
-            raise InputError("organ.exponent", "not be 0", "0", "use 8")
+            raise InputError("organ.exponent", "not be 0", "0", "use a value such as 8")

@@ -351,7 +351,7 @@ class Scene(Part):
                 "voxels.spacing_mm",
                 f"be at most a quarter of tool.diameter_mm ({tool.diameter_mm:g})",
                 f"{self.voxels.spacing_mm:g}",
-                f"use {tool.diameter_mm / 20:g}",
+                f"use a spacing such as {tool.diameter_mm / 20:g}",
             )
         if self.stress is not None and isinstance(anatomy, Tooth):
             self._stress_fits(self.stress)

@@ -8,6 +8,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.paths.toolpath import path_distance
 from meshes.voxels.volume import FULL, VoxelVolume
+from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand_motion import HandMotion
 from tissue.models.tissue_model import TICK_S
@@ -17,7 +18,7 @@ from tissue.scene.organ import LayersAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, ThrustMotion, Tool
 from tissue.simulation.bone_surface import tool_axes
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_met import chosen_scale, force_met
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.trace import Table
 
@@ -180,11 +181,19 @@ def path_note(scene: Scene, parts: Parts, apart_mm: dict[str, float] | None) -> 
     smaller = scale * radius_mm / apart_mm["largest"]
     digits = -floor(log10(smaller))
     smaller = floor(smaller * 10.0**digits) / 10.0**digits
-    return {
-        "distance from the path": f"the tool left the path by {apart_mm['largest']:.3g} mm. The "
-        "force at the device deflects the grip of the simulated hand. Set "
-        f"coupling.force_scale = {smaller:g} instead of {scale:g}"
-    }
+    note = (
+        f"the tool left the path by {apart_mm['largest']:.3g} mm. The force at the device deflects "
+        f"the grip of the simulated hand. Set coupling.force_scale = {smaller:g} instead of "
+        f"{scale:g}"
+    )
+    friction_N = device_parameters(scene.held.kind, scene.constants).friction_N
+    felt_N = smaller * force_met(scene).force_N
+    if 0.0 < felt_N < friction_N:
+        note += (
+            f". The largest force at the device is then {felt_N:.2g} N. The friction of "
+            f"{scene.held.kind}, {friction_N:g} N, hides this force: use another device"
+        )
+    return {"distance from the path": note}
 
 
 def largest_rise(trace: Table) -> dict[str, str | float | bool]:

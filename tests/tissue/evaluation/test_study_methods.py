@@ -112,6 +112,19 @@ def test_a_study_refuses_another_version_of_a_registered_predictor(fading, monke
         folder.begin(replace(plan, trials=2))
 
 
+def test_a_study_refuses_a_changed_predictor_of_a_script(fading, monkeypatch, tmp_path):
+    plan = Plan(trials=1, tasks=("T2",), groups=("expert",), methods=("penalty", fading))
+    folder = StudyFolder(tmp_path / "study")
+    plan_text.cache_clear()
+    folder.begin(plan)
+    plan_text.cache_clear()
+    assert 'fading = "Fading of a script, SHA-256 ' in (folder.path / "plan.toml").read_text()
+    monkeypatch.setattr(registration, "getsource", lambda make: "class Fading: changed = True")
+    with pytest.raises(InputError, match=r"method fading must come from the registered code"):
+        folder.begin(replace(plan, trials=2))
+    plan_text.cache_clear()
+
+
 def test_the_expected_time_grows_with_trials_and_falls_with_workers(monkeypatch):
     plan = Plan(trials=2)
     keys = list(plan.all_trials())

@@ -178,7 +178,7 @@ def chart_prediction(
     """
     # one run has no interval
     if not 2 <= trials <= MOST_TRIALS:
-        raise InputError("trials", f"be from 2 to {MOST_TRIALS}", trials, "use 30")
+        raise InputError("trials", f"be from 2 to {MOST_TRIALS}", trials, "use a value such as 30")
     files = ("prediction_tasks.png", *TABLES, *(f"prediction_{scene.name}.png" for scene in scenes))
     found = []
     with OwnedFolder(folder, "chart", files, overwrite=overwrite):

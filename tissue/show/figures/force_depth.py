@@ -117,7 +117,11 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
     _shade(run, panels, depth, rows, size)
     plain(panels)
     panels[-1].set_xlim(depth[0], depth[-1])
-    panels[-1].set_xlabel("depth of the tool's tip from its first contact / mm")
+    last_s = trace["time_s"][rows[-1]]
+    panels[-1].set_xlabel(
+        "depth of the tool's tip from its first contact / mm; "
+        f"the last new depth is reached at {last_s:.3f} s"
+    )
     chart.align_ylabels(panels)
     legend_above(panels[0], 2)
     save(chart, path)

@@ -327,7 +327,11 @@ def of_surface(
     stated.material.moduli_kPa(("body", *inclusions))
     outer = surface_of("surface", surface, scale_mm)
     usual = max(outer.report.size_mm) / FILL_EDGES
-    edge = usual if edge_mm is None else require_positive("edge_mm", edge_mm, f"use {usual:.2g}")
+    edge = (
+        usual
+        if edge_mm is None
+        else require_positive("edge_mm", edge_mm, f"use a value such as {usual:.2g}")
+    )
     inner = {
         name: surface_of(f"inclusions[{name!r}]", each, scale_mm)
         for name, each in inclusions.items()

@@ -11,6 +11,7 @@ from meshes.base.arrays import Array
 from meshes.base.cache import Kept
 from meshes.base.errors import InputError, by, names_of_caller
 from meshes.base.progress import Progress
+from meshes.base.text_tables import shown
 from meshes.paths.toolpath import kept_corners
 from meshes.tets.tetrahedra import TetMesh
 from tissue.materials.scene_constants import Materials
@@ -295,12 +296,12 @@ def _axis_note(motion: PathMotion, track: "Track") -> dict[str, str]:
         return {}
     outward = -track.arm_m / np.linalg.norm(track.arm_m)
     # 0.0 is added to turn -0.0 into 0.0
-    axis = ", ".join(f"{value:g}" for value in np.round(outward, 3) + 0.0)
+    axis = (np.round(outward, 3) + 0.0).tolist()
     return {
-        "axis": f"motion.axis is {list(motion.axis)}, and the path leads into the organ at "
+        "axis": f"motion.axis is {shown(motion.axis)}, and the path leads into the organ at "
         f"{angle_deg:.0f} degrees to it. The needle moves {1e3 * aside_m:.3g} mm sideways, and "
         "forces across its axis are not modelled. For a needle along its path, set motion.axis = "
-        f"[{axis}]"
+        f"{shown(axis)}"
     }
 
 
