@@ -168,6 +168,18 @@ def test_measures_are_the_insertion_in_millimetres_and_newtons():
     assert sum(wanted[2:]) == pytest.approx(pull)
 
 
+def test_a_turn_within_a_tick_has_no_viscous_friction():
+    """The tick ends deeper than it began, but with the speed of the withdrawal."""
+    model = needle(LIVER)
+    go(model, [-1.0, 30.0])
+    turned = at(30.01, speed_m_s=20e-3, inwards=False)
+    model.advance(turned)
+    assert model.insertion.sliding == 1
+    response = model.respond(turned)
+    friction = model.insertion.shares_N()[2]
+    assert response.measures[4] == friction > 0.0 and not response.resistance.any()
+
+
 def test_a_needle_that_goes_in_elsewhere_punctures_again():
     model = needle(LIVER)
     go(model, [-1.0, 30.0, -20.0])

@@ -387,7 +387,9 @@ class NeedleModel:
         response = self._response
         axis = motion.rotation[:, 2]
         along = float(motion.heading[0].dot(axis))
-        drag = insertion.drag_N_s_m * along
+        # A path can turn within a tick in which the shaft slides. The shaft then sticks at its end.
+        turned = insertion.sliding * along > 0.0
+        drag = 0.0 if turned else insertion.drag_N_s_m * along
         pull = insertion.pull_N
         response.edge[:3] = pull * axis
         response.resistance[:3] = -drag * axis
