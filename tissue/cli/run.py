@@ -101,7 +101,8 @@ class SceneOptions:
         uncertainty band.
     duration_s
         Simulated time in seconds. Default: the duration of the motion. If a simulated hand moves
-        the tool, the reaction time of the hand (less than 1 s) is added.
+        the tool and the time reaches the end of the motion, 0.73 s (expert) to 0.9 s (novice) are
+        added, in which the hand reacts and comes to rest.
     set_
         KEY=VALUE replaces an entry of the scene, such as voxels.spacing_mm=0.2; may be repeated.
     fidelity

@@ -233,8 +233,10 @@ class Scene(Part):
     seed: int = Field(0, ge=0, lt=2**63)
     """Seed of all random draws."""
     duration_s: float | None = Field(None, ge=1e-3, le=3600, examples=[5.0])
-    """Simulated time. Default: the duration of the motion. If a simulated hand moves the tool
-    through the whole motion, the reaction time of the hand is added.
+    """Simulated time. Default: the duration of the motion. If a simulated hand moves the tool and
+    the time reaches the end of the motion, the run is longer: 0.73 s (expert), 0.82 s
+    (intermediate) or 0.9 s (novice) are added, in which the hand reacts and comes to rest. A
+    shorter time is not changed.
     """
     anatomy: AnyAnatomy
     """Anatomy on which the tool acts."""

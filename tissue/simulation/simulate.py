@@ -25,6 +25,7 @@ from tissue.scene.registry import ANATOMIES, PREDICTORS
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import used_constants
 from tissue.simulation.builders.arguments import given_note
+from tissue.simulation.builders.loop import horizon_text
 from tissue.simulation.builders.parts import Parts, TissueBuilder, motion_of, require_stated_rate
 from tissue.simulation.builders.prediction import ADAPTIVE
 from tissue.simulation.findings import (
@@ -167,7 +168,7 @@ def simulate(
         )
         trace = loop.trace
         if isinstance(parts.motion, HandMotion) and parts.motion.predictor is not None:
-            parts.notes |= _prediction_note(trace, parts.motion)
+            parts.notes |= _prediction_note(trace, parts.motion, scene)
         # With a device, the user decides when the run ends, so an early end is not noted.
         parts.notes |= shortfalls(
             scene, parts, trace, path_s=ticks * TICK_S if device is None else inf
@@ -307,7 +308,7 @@ def _run_ticks(
     return scheduling
 
 
-def _prediction_note(trace: Table, motion: HandMotion) -> dict[str, str]:
+def _prediction_note(trace: Table, motion: HandMotion, scene: Scene) -> dict[str, str]:
     """Return a note on the error of the predicted forces.
 
     There is no note if the tool was not in contact, or if the tissue model does not respond in
@@ -325,10 +326,11 @@ def _prediction_note(trace: Table, motion: HandMotion) -> dict[str, str]:
     missed, held = (
         100.0 * float(np.linalg.norm((later - force)[:known])) / size for force in (predicted, raw)
     )
+    horizon = horizon_text(1e3 * ticks * TICK_S, scene.held.coupling.delay_ms)
     compared = "worse than zero-order hold with" if missed > held else "zero-order hold has"
     share = 100.0 * float(trace["predicted_by"][np.any(raw != 0.0, axis=1)].mean())
     return {
-        "prediction": f"RMS error {missed:.2g} % of the force at a horizon of {ticks:.3g} ms; "
+        "prediction": f"RMS error {missed:.2g} % of the force at a horizon of {horizon}; "
         f"{compared} {held:.2g} %. The predictor's own force was used in {share:.3g} % of the "
         "ticks in contact"
     }

@@ -91,6 +91,9 @@ def test_a_study_that_cannot_show_an_effect_says_so_first(monkeypatch):
     assert "with 3 people, its p value is at least 0.25 (1 after" in note
     assert "Plan for 10 people or more" in note
     assert registration.notes_before(replace(small, trials=10)) == []
+    (note,) = registration.notes_before(replace(small, trials=1, groups=("novice", "expert")))
+    assert note.startswith("Nothing will be tested: each group has one person")
+    assert "Plan for 11 people or more" in note
     assert registration.notes_before(replace(small, tasks=("needle",))) == []
     monkeypatch.setattr(registration, "find_spec", lambda name: None)
     (note,) = registration.notes_before(replace(small, trials=10))

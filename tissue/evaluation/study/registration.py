@@ -233,17 +233,26 @@ def notes_before(plan: Plan) -> list[str]:
             f"{install_command('study')}"
         )
     tests = len(planned_tests(plan))
+    if not tests:
+        return notes
     people = min(plan.trials, USERS) * len(plan.groups)
+    needed = max(2 * len(plan.groups), 1 + ceil(log2(tests / ALPHA)))
+    remedy = (
+        f"Plan for {needed} people or more: each of the first {USERS} trials of a group has "
+        "another person"
+    )
     # the measured signs and their opposites reach the statistic, of 2^people combinations
     smallest_p = 2.0 ** (1 - people)
-    if len(plan.methods) > 1 and tests * smallest_p > ALPHA:
-        who = "1 person" if people == 1 else f"{people} people"
-        needed = 1 + ceil(log2(tests / ALPHA))
+    if plan.trials == 1:
         notes.append(
-            f"No test of methods can show an effect: with {who}, its p value is at least "
+            "Nothing will be tested: each group has one person, and a test needs at least two "
+            f"people in each group. {remedy}"
+        )
+    elif len(plan.methods) > 1 and tests * smallest_p > ALPHA:
+        notes.append(
+            f"No test of methods can show an effect: with {people} people, its p value is at least "
             f"{smallest_p:.2g} ({min(1.0, tests * smallest_p):.2g} after Bonferroni's correction "
-            f"for {tests} tests), and the level is {ALPHA:g}. Plan for {needed} people or more: "
-            f"each of the first {USERS} trials of a group has another person"
+            f"for {tests} tests), and the level is {ALPHA:g}. {remedy}"
         )
     return notes
 

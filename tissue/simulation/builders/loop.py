@@ -348,6 +348,15 @@ def lead_ticks(settings: LoopSettings) -> float:
     return motor_lag_ticks(motor_path(settings))
 
 
+def horizon_text(horizon_ms: float, delay_ms: float) -> str:
+    """Return a prediction horizon with its parts: the latency of the coupling, and the rest."""
+    rest_ms = horizon_ms - delay_ms
+    return (
+        f"{horizon_ms:.3g} ms (coupling.delay_ms = {delay_ms:g}, and {rest_ms:.3g} ms for device, "
+        "low-pass and zero-order hold)"
+    )
+
+
 def motor_path(settings: LoopSettings) -> WallLoop:
     """Return a loop with only the stages that a force passes on its path to the motor.
 
