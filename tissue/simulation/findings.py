@@ -1,7 +1,8 @@
 """Findings of a finished run: targets that the tool did not reach, and break-throughs."""
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import floor, log10
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand_motion import HandMotion
 from tissue.models.tissue_model import TICK_S
-from tissue.motion.motion import Motion, frame_along
+from tissue.motion.motion import Events, Motion, frame_along
 from tissue.scene.anatomy import Bone, MolarAnatomy, Tooth
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.scene import Scene
@@ -56,6 +57,36 @@ FORWARD = 0.5
 
 The limit excludes a tool that leaves the bone sideways.
 """
+
+
+def findings(
+    scene: Scene, parts: Parts, trace: Table, *, path_s: float
+) -> tuple[dict[str, Any], Events]:
+    """Return the entries of the summary on the findings of a run, and its break-throughs as events.
+
+    Notes on the findings are added to the notes of `parts`. For ``path_s``, see `shortfalls`.
+    """
+    apart_mm = path_distance_mm(scene, parts.motion, trace)
+    parts.notes |= shortfalls(scene, parts, trace, path_s=path_s)
+    parts.notes |= path_note(scene, parts, apart_mm)
+    parts.notes |= region_note(parts, trace)
+    found: dict[str, Any] = {}
+    if apart_mm is not None:
+        found["path_distance_mm"] = apart_mm
+    if rise := largest_rise(trace):
+        found["largest_rise"] = rise
+    cutter = parts.cutter
+    if parts.volume is None or cutter is None or cutter.spin_rad_s == 0.0:
+        return found, []
+    # The trace is only valid while the tool is in the simulated region.
+    left = None if parts.region_end is None else parts.region_end.left_tick
+    valid = replace(trace, rows=trace.rows[:left])
+    broke = break_throughs(parts.volume, valid, radius_m=cutter.profile.radius_m)
+    if broke:
+        found["break_through"] = [asdict(each) for each in broke]
+    return found, [
+        (each.time_s, f"broke through, {each.plunge_mm:.2f} mm of plunge") for each in broke
+    ]
 
 
 def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> dict[str, str]:

@@ -27,7 +27,7 @@ from tissue.scene.part import is_given
 from tissue.scene.registry import CUTTERS
 from tissue.scene.scene import Cutting, Scene
 from tissue.scene.tool import PathMotion, ReplayMotion, Tool
-from tissue.simulation.builders.keep_clear import keep_clear, region_end
+from tissue.simulation.builders.keep_clear import watch
 from tissue.simulation.builders.parts import (
     Parts,
     far_note,
@@ -133,17 +133,6 @@ def milled(
             from tissue.simulation.builders.around_cut import heated_bone
 
             tissue = heated_bone(scene, milling, motion, compute=compute, report=report)
-    clear = None
-    if scene.keep_clear is not None:
-        clear = keep_clear(
-            scene.keep_clear,
-            scene.bone,
-            cutter,
-            motion,
-            placement=volume.placement,
-            notes=notes,
-            report=report,
-        )
     parts = Parts(
         motion,
         tissue,
@@ -151,9 +140,8 @@ def milled(
         volume=volume,
         placement=volume.placement,
         notes=notes,
-        keep_clear=clear,
     )
-    parts.region_end = region_end(scene, parts)
+    watch(scene, parts, report=report)
     file = recorded_file(scene)
     if file and (notice := w_first_notice(volume, cutter, motion, file)):
         parts.events.append((0.0, notice))

@@ -269,7 +269,7 @@ def device_motion(
     if felt is not None:
         notes.append(felt.sentence)
     loops = [judged, turning] if turning else [judged]
-    if released := release_note(loops):
+    if released := release_note(settings, loops):
         notes[-1] += f". {released}"
     return motion, notes
 
