@@ -145,7 +145,14 @@ def simulate(
             allow_unstable=allow_unstable,
         )
         if device is not None:
-            _use_device(device, scene, parts.motion)
+            assert isinstance(parts.motion, HandMotion), "a scene with a device"
+            kind = scene.held.kind
+            limits = device_parameters(kind, scene.constants)
+            remedy = f"state devices.{kind}.rate_Hz in a file of constants for the key materials"
+            require_stated_rate(device, limits, remedy=remedy)
+            parts.motion.device = device
+            # With a caller's device there is no simulated hand, which would need time to react.
+            parts.motion.after_s = 0.0
         if any(each.paces for each in observers) and isinstance(parts.tissue, MayLag):
             parts.tissue.waits = False
         ticks = tick_count(scene, parts.motion)
@@ -194,20 +201,6 @@ def _require_runnable(
         raise InputError(
             "scene", "name the device that is given", "none", "set device, such as touch"
         )
-
-
-def _use_device(device: Device | SafeDevice, scene: Scene, motion: Motion) -> None:
-    """Replace the simulated device and hand of a motion by a given device."""
-    assert isinstance(motion, HandMotion), "a scene with a device"
-    kind = scene.held.kind
-    require_stated_rate(
-        device,
-        device_parameters(kind, scene.constants),
-        remedy=f"state devices.{kind}.rate_Hz in a file of constants for the key materials",
-    )
-    motion.device = device
-    # With a caller's device there is no simulated hand, which would need time to react.
-    motion.after_s = 0.0
 
 
 def _run_ticks(

@@ -110,7 +110,8 @@ def milled(
         )
     else:
         _require_chips(scene, cutter)
-        layers = _filled_layers(volume)
+        # Names of the layers that have bone in the volume.
+        layers = [volume.layer_names[at] for at in np.unique(volume.layer[volume.fraction > 0])]
         _require_effect(scene, volume, layers)
         notes.update(_replaced_note(scene, layers))
         notes["specific cutting energy"] = energy_note(
@@ -187,11 +188,6 @@ def _require_chips(scene: Scene, cutter: Cutter) -> None:
             f"{scene.motion.feed_mm_s:g}, which gives chips of {chip_mm:.3g} mm",
             "use a slower feed, or a higher tool.spin_rpm",
         )
-
-
-def _filled_layers(volume: VoxelVolume) -> list[str]:
-    """Return the names of the layers that have bone in a volume, in the order of `layer_names`."""
-    return [volume.layer_names[at] for at in np.unique(volume.layer[volume.fraction > 0])]
 
 
 def _replaced_note(scene: Scene, layers: list[str]) -> dict[str, str]:
