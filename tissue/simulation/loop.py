@@ -28,7 +28,7 @@ from tissue.motion.motion import Motion, quaternion_of
 from tissue.motion.replay import COLUMNS
 from tissue.scene.scene import Output
 from tissue.simulation.builders.parts import Parts
-from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayout, load_columns
+from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayout
 from tissue.system.blas_threads import one_blas_thread
 
 SWITCH_S = 5e-5
@@ -267,7 +267,8 @@ class Loop:
             tissue.layer_names, tissue.measure_names, motion.measure_names, clear_names
         )
         self._at = layout.at
-        self._loads = load_columns(layout.columns)
+        is_load = [name.endswith(("_N", "_Nm")) for name in layout.columns]
+        self._loads = np.flatnonzero(is_load)
         self.trace = Table(
             layout.columns, np.zeros((ticks, len(layout.columns))), tissue.layer_names
         )

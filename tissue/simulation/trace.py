@@ -214,13 +214,6 @@ class TraceLayout:
         return cls(tuple(columns), at)
 
 
-def load_columns(columns: tuple[str, ...]) -> NDArray[np.intp]:
-    """Return the indices of force and torque columns of a trace."""
-    return np.array(
-        [place for place, name in enumerate(columns) if name.endswith(("_N", "_Nm"))], dtype=np.intp
-    )
-
-
 def check_format(kind: str) -> None:
     """Check that a format is known and that the package for the format is installed.
 
