@@ -5,7 +5,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.models.tissue_model import Response, ToolMotion
-from tissue.motion.motion import Events, FeedLimit, Motion, frame_along
+from tissue.motion.motion import Events, Motion, frame_along
 
 TOLERANCE = 0.01
 """Largest difference between the speed that led to a pose and the balanced speed at this pose.
@@ -254,10 +254,14 @@ class PushAlongAxis(Motion):
         return [(self._first_limited_s, what)]
 
     @property
-    def feed_limit(self) -> FeedLimit:
+    def feed_limit(self) -> dict[str, float | None]:
         """Time in which the feed limit was active in contact, up to the previous tick."""
         first_s = self._first_limited_s if self._limited_s > 0.0 else None
-        return FeedLimit(1e3 * self._max_feed, round(self._limited_s, 6), first_s)
+        return {
+            "max_feed_mm_s": 1e3 * self._max_feed,
+            "active_s": round(self._limited_s, 6),
+            "first_s": first_s,
+        }
 
     def _resisting(self, response: Response) -> tuple[float, float]:
         """Return drag [N s/m] and edge force [N], both against the direction of motion."""

@@ -3,7 +3,6 @@
 import os
 import platform
 from collections.abc import Callable, Iterable
-from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -267,8 +266,8 @@ class Run:
         found |= self.findings
         if isinstance(tissue, HasHeat) and (heat_J := tissue.heat_balance_J) is not None:
             found["heat_J"] = heat_J
-        if (limit := self.parts.motion.feed_limit) is not None:
-            found["feed_limit"] = asdict(limit)
+        if limit := self.parts.motion.feed_limit:
+            found["feed_limit"] = limit
         if isinstance(tissue, HasSummary):
             found |= tissue.summary()
         found["events"] = [{"time_s": time, "what": what} for time, what in self.events]
