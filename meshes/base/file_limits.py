@@ -6,9 +6,10 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from io import BytesIO
 from math import prod
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from meshes.base.errors import InputError, require_positive
 
@@ -23,6 +24,11 @@ _FREE_SHARE = 0.5
 The remaining memory is for results that are computed from the content.
 """
 _limit_GB: ContextVar[float | None] = ContextVar("max_memory_GB", default=None)
+_LONGEST_HEADER = 1 << 16
+"""Number of bytes read for the header of a NumPy array.
+
+NumPy refuses headers above 10,000 bytes.
+"""
 _CGROUP = Path("/sys/fs/cgroup")
 
 
@@ -136,7 +142,7 @@ def read_npz(path: Path) -> "dict[str, NDArray[np.generic]]":
         )
         for entry in entries:
             with archive.open(entry) as stream:
-                stated = _npy_bytes(stream)
+                stated = _npy_bytes(stream.read(_LONGEST_HEADER))
                 if stated != entry.file_size:
                     raise ValueError(
                         f"{entry.filename} states {stated} bytes and holds another number"
@@ -148,10 +154,11 @@ def read_npz(path: Path) -> "dict[str, NDArray[np.generic]]":
         }
 
 
-def _npy_bytes(stream: IO[bytes]) -> int:
-    """Return the size [byte] of a NumPy array file that the header of the file states."""
+def _npy_bytes(first: bytes) -> int:
+    """Return the array size [byte] stated in the first bytes of a NumPy array file."""
     import numpy as np
 
+    stream = BytesIO(first)
     version = np.lib.format.read_magic(stream)
     # In version 1, the length of the header is stored in two bytes, in later versions in four
     # bytes.
@@ -162,7 +169,7 @@ def _npy_bytes(stream: IO[bytes]) -> int:
     if dtype.hasobject:
         # The size of Python objects is unknown, and reading pickled objects can run any code.
         raise ValueError("an array of objects")
-    return stream.tell() + prod(shape) * dtype.itemsize
+    return len(first) - len(stream.read()) + prod(shape) * dtype.itemsize
 
 
 def _free_bytes() -> int:

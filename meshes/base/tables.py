@@ -364,11 +364,11 @@ def _header(above: list[list[str]], width: int) -> tuple[tuple[str, ...], int, b
         at -= 1
     if at < 0 or len(above[at]) != width:
         return (), 0, False
-    names = [cell.strip().lstrip("#%").strip() for cell in above[at]]
+    names = [cell.lstrip(" \t#%").strip() for cell in above[at]]
     # a unit has at most six characters, such as mm/min; longer cells are names
     units = [re.fullmatch(r"[\[(]?([A-Za-zµ°%/*· -]{0,6})[\])]?", name) for name in names]
     if at > 0 and len(above[at - 1]) == width and all(units):
-        first = [cell.strip().lstrip("#%").strip() for cell in above[at - 1]]
+        first = [cell.lstrip(" \t#%").strip() for cell in above[at - 1]]
         if not _count(first):
             stated = [unit[1].strip() if unit else "" for unit in units]
             joined = [

@@ -58,7 +58,7 @@ def path_distance(points: Array, corners: Array) -> Array:
     for start, end in pairwise(corners):
         leg = end - start
         # a leg without length is its start
-        along = np.clip((points - start) @ leg / max(float(leg @ leg), 1e-12), 0.0, 1.0)
+        along = np.clip((points - start) @ leg / max(float(leg @ leg), 1e-300), 0.0, 1.0)
         nearest = np.minimum(nearest, np.linalg.norm(points - start - along[:, None] * leg, axis=1))
     return nearest
 
@@ -83,12 +83,9 @@ def kept_corners(corners: ArrayLike, within: float) -> Ints:
         first, last = open_legs.pop()
         if last - first < 2:
             continue
-        along = given[last] - given[first]
-        between = given[first + 1 : last] - given[first]
         # A closed section has the length 0. The distance of its corners is then measured from the
         # first corner.
-        share = np.clip(between @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
-        off = np.linalg.norm(between - share[:, None] * along, axis=1)
+        off = path_distance(given[first + 1 : last], given[[first, last]])
         if off.max() > within:
             farthest = first + 1 + int(np.argmax(off))
             kept.add(farthest)

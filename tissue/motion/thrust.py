@@ -62,12 +62,7 @@ class SpeedSearch:
     """
 
     def __init__(self) -> None:
-        self.tried = 0.0
-        self.tangent = 0.0
-        self._low = self._high = 0.0
-        self._poses = 0
-        self._tangents = 0
-        self._is_last_pose = False
+        self.begin(0.0, highest=0.0)
 
     def begin(self, speed: float, *, highest: float) -> None:
         """Start a tick with a first guess of the speed, limited to 0 to ``highest`` [m/s]."""
