@@ -223,7 +223,7 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
             file,
             "rename or convert the file",
         )
-    axes = None
+    axes: Array | None = None
     if suffix in GCODE or (suffix == ".txt" and _PROGRAM.search(decoded_text(file, "path"))):
         points, feeds, notes = read_gcode(file)
     else:
@@ -273,16 +273,16 @@ def _read_table(file: Path) -> tuple[Array, Array | None, Array | None, tuple[st
         row = 1 + int(np.argmax(feeds[1:] <= 0.0))
         got = f"{feeds[row]:g} at point {row + 1} of {file}"
         raise InputError(_FEED, "be positive", got, "use for example 2")
-    axes = None
+    axes: Array | None = None
     if has_axes:
-        axes = np.column_stack([column[name] for name in _AXIS])
-        length = np.linalg.norm(axes, axis=1)
+        given = np.column_stack([column[name] for name in _AXIS])
+        length = np.linalg.norm(given, axis=1)
         # In a file with six decimals, such an axis is zero. Its direction would only be rounding
         # errors.
         if (length < 1e-6).any():
             got = f"(0, 0, 0) at point {int(np.argmin(length)) + 1} of {file}"
             raise InputError("axis", "not be zero", got, "fix this point of the file")
-        axes = axes / length[:, None]
+        axes = given / length[:, None]
     points = np.column_stack([column[name] for name in _PLACE])
     return points, feeds, axes, tuple(notes)
 

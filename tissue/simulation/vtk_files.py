@@ -74,7 +74,8 @@ def _moved(data: Data, to_other: Callable[[Array], Array], scale: float, turn: A
         return moved
     points = to_other(np.asarray(data.points, dtype=np.float64))
     single = np.ascontiguousarray(points, dtype=np.float32)
-    moved.SetPoints(pyvista.vtk_points(single))  # moved.points = would change the original
+    # An assignment to moved.points would change the original.
+    moved.SetPoints(pyvista.vtk_points(single))  # type: ignore[arg-type]
     for name, values in data.point_data.items():
         if values.ndim == 2 and values.shape[1] == 3:
             turned = np.asarray(values, dtype=np.float64) @ turn.T
