@@ -223,6 +223,7 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
             file,
             "rename or convert the file",
         )
+    feeds: Array | None
     axes: Array | None = None
     if suffix in GCODE or (suffix == ".txt" and _PROGRAM.search(decoded_text(file, "path"))):
         points, feeds, notes = read_gcode(file)
