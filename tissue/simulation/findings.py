@@ -1,7 +1,8 @@
 """Findings of a finished run: targets that the tool did not reach, and break-throughs."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import floor, log10
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand_motion import HandMotion
 from tissue.models.tissue_model import TICK_S
-from tissue.motion.motion import Motion, frame_along
+from tissue.motion.motion import Events, Motion, frame_along
 from tissue.scene.anatomy import Bone, MolarAnatomy, Tooth
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.scene import Scene
@@ -57,6 +58,36 @@ FORWARD = 0.5
 
 The limit excludes a tool that leaves the bone sideways.
 """
+
+
+def findings(
+    scene: Scene, parts: Parts, trace: Table, *, path_s: float
+) -> tuple[dict[str, Any], Events]:
+    """Return the entries of the summary on the findings of a run, and its break-throughs as events.
+
+    Notes on the findings are added to the notes of `parts`. For ``path_s``, see `shortfalls`.
+    """
+    apart_mm = path_distance_mm(scene, parts.motion, trace)
+    parts.notes |= shortfalls(scene, parts, trace, path_s=path_s)
+    parts.notes |= path_note(scene, parts, apart_mm)
+    parts.notes |= region_note(parts, trace)
+    found: dict[str, Any] = {}
+    if apart_mm is not None:
+        found["path_distance_mm"] = apart_mm
+    if rise := largest_rise(trace):
+        found["largest_rise"] = rise
+    cutter = parts.cutter
+    if parts.volume is None or cutter is None or cutter.spin_rad_s == 0.0:
+        return found, []
+    # The trace is only valid while the tool is in the simulated region.
+    left = None if parts.region_end is None else parts.region_end.left_tick
+    valid = replace(trace, rows=trace.rows[:left])
+    broke = break_throughs(parts.volume, valid, radius_m=cutter.profile.radius_m)
+    if broke:
+        found["break_through"] = broke
+    return found, [
+        (each["time_s"], f"broke through, {each['plunge_mm']:.2f} mm of plunge") for each in broke
+    ]
 
 
 def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> dict[str, str]:
@@ -247,26 +278,13 @@ def _missed_caries(anatomy: Tooth, parts: Parts) -> str:
     return f"{missed}{place}; {how}move motion.points_mm to it"
 
 
-@dataclass(frozen=True)
-class BreakThrough:
-    """Break-through: exit of the tool's tip from bone during forward motion along its axis.
-
-    Attributes
-    ----------
-    time_s
-        Time of the first break-through in this hole [s].
-    plunge_mm
-        Distance travelled along the axis from the break-through until the tool reached bone again
-        or the run ended [mm]. If the tool passes through the hole several times, the largest
-        distance is used.
-    """
-
-    time_s: float
-    plunge_mm: float
-
-
-def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> list[BreakThrough]:
+def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> list[dict[str, float]]:
     """Return the break-throughs: exits of the tool's tip from bone, forward along its axis.
+
+    The entry ``time_s`` is the time of the first break-through in a hole [s]. The entry
+    ``plunge_mm`` is the distance travelled along the axis from the break-through until the tool
+    reached bone again or the run ended [mm]. If the tool passes through the hole several times, the
+    largest distance is used.
 
     The surface of the bone is where the interpolated content of voxels before the run is one half.
     The time of an exit is interpolated between ticks. Each hole counts as one break-through. An
@@ -298,7 +316,7 @@ def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> lis
         & (share[1:] < 0.5)
         & (forward > FORWARD * np.linalg.norm(steps, axis=1))
     )
-    found: list[BreakThrough] = []
+    found: list[dict[str, float]] = []
     exits_mm: list[Array] = []
     for row in np.flatnonzero(leaves):
         part = float((share[row] - 0.5) / (share[row] - share[row + 1]))
@@ -314,8 +332,8 @@ def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> lis
         across = np.linalg.norm(away - along[:, None] * axes[: row + 1], axis=1)
         if found and ((along > 0.0) & (across < 1e3 * radius_m)).any():
             hole = int(np.argmin([np.linalg.norm(exit_mm - each) for each in exits_mm]))
-            found[hole] = replace(found[hole], plunge_mm=max(found[hole].plunge_mm, plunge_mm))
+            found[hole]["plunge_mm"] = max(found[hole]["plunge_mm"], plunge_mm)
             continue
-        found.append(BreakThrough(float(row + part) * TICK_S, plunge_mm))
+        found.append({"time_s": float(row + part) * TICK_S, "plunge_mm": plunge_mm})
         exits_mm.append(exit_mm)
     return found

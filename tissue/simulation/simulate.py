@@ -28,14 +28,7 @@ from tissue.simulation.builders.arguments import given_note
 from tissue.simulation.builders.loop import horizon_text
 from tissue.simulation.builders.parts import Parts, TissueBuilder, motion_of, require_stated_rate
 from tissue.simulation.builders.prediction import ADAPTIVE
-from tissue.simulation.findings import (
-    BreakThrough,
-    break_throughs,
-    path_distance_mm,
-    path_note,
-    region_note,
-    shortfalls,
-)
+from tissue.simulation.findings import findings
 from tissue.simulation.loop import Loop, undisturbed
 from tissue.simulation.run import Run
 from tissue.simulation.run_folder import RunFolder
@@ -153,7 +146,14 @@ def simulate(
             allow_unstable=allow_unstable,
         )
         if device is not None:
-            _use_device(device, scene, parts.motion)
+            assert isinstance(parts.motion, HandMotion), "a scene with a device"
+            kind = scene.held.kind
+            limits = device_parameters(kind, scene.constants)
+            remedy = f"state devices.{kind}.rate_Hz in a file of constants for the key materials"
+            require_stated_rate(device, limits, remedy=remedy)
+            parts.motion.device = device
+            # With a caller's device there is no simulated hand, which would need time to react.
+            parts.motion.after_s = 0.0
         if any(each.paces for each in observers) and isinstance(parts.tissue, MayLag):
             parts.tissue.waits = False
         ticks = tick_count(scene, parts.motion)
@@ -170,24 +170,15 @@ def simulate(
         if isinstance(parts.motion, HandMotion) and parts.motion.predictor is not None:
             parts.notes |= _prediction_note(trace, parts.motion, scene)
         # With a device, the user decides when the run ends, so an early end is not noted.
-        parts.notes |= shortfalls(
-            scene, parts, trace, path_s=ticks * TICK_S if device is None else inf
-        )
-        apart_mm = path_distance_mm(scene, parts.motion, trace)
-        parts.notes |= path_note(scene, parts, apart_mm)
-        parts.notes |= region_note(parts, trace)
-        broke = _break_throughs(parts, trace)
-        through = [
-            (each.time_s, f"broke through, {each.plunge_mm:.2f} mm of plunge") for each in broke
-        ]
+        path_s = ticks * TICK_S if device is None else inf
+        found, through = findings(scene, parts, trace, path_s=path_s)
         events = sorted(loop.events + parts.motion.happened() + through, key=lambda event: event[0])
         run = Run(
             scene, parts, trace, loop.timing, events=events, poses=loop.poses, compute=compute
         )
         run.begun = folder
         run.scheduling = scheduling
-        run.break_throughs = broke
-        run.path_distance_mm = apart_mm
+        run.findings = found
     return run
 
 
@@ -211,29 +202,6 @@ def _require_runnable(
         raise InputError(
             "scene", "name the device that is given", "none", "set device, such as touch"
         )
-
-
-def _use_device(device: Device | SafeDevice, scene: Scene, motion: Motion) -> None:
-    """Replace the simulated device and hand of a motion by a given device."""
-    assert isinstance(motion, HandMotion), "a scene with a device"
-    kind = scene.held.kind
-    require_stated_rate(
-        device,
-        device_parameters(kind, scene.constants),
-        remedy=f"state devices.{kind}.rate_Hz in a file of constants for the key materials",
-    )
-    motion.device = device
-    # With a caller's device there is no simulated hand, which would need time to react.
-    motion.after_s = 0.0
-
-
-def _break_throughs(parts: Parts, trace: Table) -> list[BreakThrough]:
-    """Return the break-throughs of a cutting tool while it is in the simulated region."""
-    if parts.volume is None or parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
-        return []
-    left = None if parts.region_end is None else parts.region_end.left_tick
-    valid = Table(trace.columns, trace.rows[:left], trace.layer_names)
-    return break_throughs(parts.volume, valid, radius_m=parts.cutter.profile.radius_m)
 
 
 def _run_ticks(
@@ -301,7 +269,7 @@ def _run_ticks(
             raise
     scheduling.end()
     loop.finish()
-    scheduling.look_again()
+    scheduling.poll()
     loop.close()
     if folder is not None:
         folder.flush(loop.ticks, force=True)

@@ -161,15 +161,6 @@ def held_mesh(
         return _from_file(anatomy, fine, report)
 
 
-def elasticity_of(
-    mesh: TetMesh, anatomy: SoftAnatomy, organ: Organ, constants: Materials = Materials.cited
-) -> tuple[Array, str]:
-    """Return the elastic constants of the cells [Pa], and a note; see `SoftMaterial.elasticity`."""
-    material, notes = material_of(anatomy, organ, constants)
-    with names_of_caller(OF_ORGAN):
-        return material.elasticity(mesh), notes["modulus"]
-
-
 def material_of(
     anatomy: SoftAnatomy, organ: Organ, constants: Materials
 ) -> tuple[SoftMaterial, dict[str, str]]:
@@ -404,8 +395,8 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
     organ
         Organ parameters of the scene.
     lame_Pa
-        Lame constants at small strains [Pa], shape (m, 2), as returned by `elasticity_of`. The
-        ratio of the two constants must be the same in all cells.
+        Lame constants at small strains [Pa], shape (m, 2), as returned by
+        `SoftMaterial.elasticity`. The ratio of the two constants must be the same in all cells.
 
     Raises
     ------

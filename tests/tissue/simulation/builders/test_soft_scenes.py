@@ -13,7 +13,7 @@ from tissue.fem.assembly import assemble
 from tissue.fem.space import Space
 from tissue.materials.scene_constants import Materials
 from tissue.scene.organ import Organ
-from tissue.simulation.builders.organ import elasticity_of
+from tissue.simulation.builders.organ import material_of
 
 PRESS = {
     "anatomy.edge_mm": 22.0,
@@ -170,8 +170,8 @@ def test_fibres_are_the_same_in_a_turned_organ():
     for nodes, direction in ((mesh.nodes_m, fibre), (mesh.nodes_m @ turn.T, turn @ fibre)):
         organ = Organ(young_kPa=5.0, fibre_direction=tuple(direction), fibre_modulus_ratio=3.0)
         body = replace(mesh, nodes_m=nodes)
-        moduli, _ = elasticity_of(body, scene.anatomy, organ)
-        stiffness.append(assemble(Space(body, 2), moduli).toarray())
+        material, _ = material_of(scene.anatomy, organ, scene.constants)
+        stiffness.append(assemble(Space(body, 2), material.elasticity(body)).toarray())
     count = len(stiffness[0]) // 3
     turned = np.einsum("ij,ajbk,lk->aibl", turn, stiffness[0].reshape(count, 3, count, 3), turn)
     np.testing.assert_allclose(
