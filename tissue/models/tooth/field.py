@@ -151,12 +151,8 @@ class StressField:
                 # Suggest twice the edge, because a larger cell holds more material.
                 f"use {2000.0 * cell_m:g}",
             )
-        self._guess = FirstGuess(
-            [
-                (s.displacement_m, f)
-                for s, f in zip(self.compliance.solutions, self.compliance.loads_N, strict=True)
-            ]
-        )
+        solved = [solution.displacement_m for solution in self.compliance.solutions]
+        self._guess = FirstGuess(list(zip(solved, self.compliance.loads_N, strict=True)))
         layer = _cell_layers(self.body)
         # the nearest particles may be 0.87 of a voxel's edge from a cell's centre
         self._reach_m = max(REACH_M, tooth.spacing_m)

@@ -4,6 +4,7 @@ Stress is averaged over particles within a fixed distance. When cells are refine
 converges even where the stress at a point does not converge.
 """
 
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,7 @@ from scipy.spatial import cKDTree
 from kernels.launcher import SplitLaunch, run_once
 from kernels.particle_stiffness import invariants, point_stress
 from meshes.base.arrays import Array, Integers
-from tissue.fem.conjugate_gradients import Solution, dot
+from tissue.fem.conjugate_gradients import Solution
 from tissue.fem.solvers.held_body import rigid_modes
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.grid import ParticleSet, ball_weight
@@ -291,54 +292,28 @@ class FirstGuess:
     """
 
     def __init__(self, kept: list[tuple[Array, Array]], *, recent: int = 2) -> None:
-        self._solutions = [moved.ravel() for moved, _ in kept]
-        self._loads = [load.ravel() for _, load in kept]
-        self._first = len(kept)
-        self._most = len(kept) + recent
-        self._energy = np.array(
-            [[dot(u, f) for f in self._loads] for u in self._solutions]
-        ).reshape(len(kept), len(kept))
+        self._kept = kept
+        self._recent: deque[tuple[Array, Array]] = deque(maxlen=recent)
 
     def add(self, displacement_m: Array, load_N: Array) -> None:
         """Store a solution [m] and its load [N], each of shape (n, 3).
 
         The oldest solution beyond the number `recent` is discarded.
         """
-        if not load_N.any():
-            return
-        if len(self._solutions) == self._most:
-            del self._solutions[self._first], self._loads[self._first]
-            self._energy = np.delete(
-                np.delete(self._energy, self._first, axis=0), self._first, axis=1
-            )
-        moved = displacement_m.ravel().copy()
-        load = load_N.ravel().copy()
-        self._solutions.append(moved)
-        self._loads.append(load)
-        column = np.array(
-            [
-                # The two products are equal for exact solutions. Their mean keeps the matrix
-                # symmetric.
-                0.5 * (dot(u, load) + dot(moved, f))
-                for u, f in zip(self._solutions, self._loads, strict=True)
-            ]
-        )
-        self._energy = np.block(
-            [[self._energy, column[:-1, None]], [column[None, :-1], column[-1:, None]]]
-        )
+        if load_N.any():
+            self._recent.append((displacement_m.copy(), load_N.copy()))
 
     def __call__(self, load_N: Array) -> Array:
         """Return a guess of the displacement [m] for a load [N], each of shape (n, 3)."""
-        guess = np.zeros(load_N.size)
-        load = load_N.ravel()
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self._energy), np.finfo(float).tiny))
-        values, vectors = np.linalg.eigh(
-            scale[:, None] * 0.5 * (self._energy + self._energy.T) * scale
-        )
-        if values.size and values[-1] > 0.0:
-            modes = (scale[:, None] * vectors)[:, values > NULL_CUT * values[-1]]
-            work = np.array([dot(u, load) for u in self._solutions])
-            share = modes @ ((modes.T @ work) / values[values > NULL_CUT * values[-1]])
-            for moved, each in zip(self._solutions, share, strict=True):
-                guess += each * moved
-        return guess.reshape(load_N.shape)
+        known = np.array([*self._kept, *self._recent]).reshape(-1, 2, load_N.size)
+        solutions = known[:, 0]
+        energy = np.einsum("ik,jk->ij", solutions, known[:, 1])
+        # The matrix is symmetric for exact solutions.
+        energy = 0.5 * (energy + energy.T)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(energy), np.finfo(float).tiny))
+        values, vectors = np.linalg.eigh(scale[:, None] * energy * scale)
+        used = values > NULL_CUT * values[-1]
+        modes = (scale[:, None] * vectors)[:, used]
+        work = np.einsum("ik,k->i", solutions, load_N.ravel())
+        share = modes @ ((modes.T @ work) / values[used])
+        return np.einsum("i,ik->k", share, solutions).reshape(load_N.shape)
