@@ -22,12 +22,16 @@ from meshes.tets.stuffing import bisected
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import tetrahedralise
 from tissue.fem.hyperelastic import Law, NonlinearBody
-from tissue.fem.newton import NODES, NewtonSolver, press_at, resting_sphere
+from tissue.fem.newton import NewtonSolver, resting_sphere
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 
 TOLERANCE = 1e-6
-"""Residual of a solve; with nodes `NODES` off, forces hold to about 1e-5."""
+NODES = 1e-5
+"""Residual of a solve, and distance of a node in contact from the sphere, relative to its radius.
+
+Forces hold to about 1e-5.
+"""
 LIVER, RADIUS_M = lame(5e3, 0.45), 0.01
 DOWN = np.array([0.0, 0.0, -1.0])
 DEPTHS_M = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 6.0]) * 1e-3
@@ -40,16 +44,21 @@ SHARES = (0.01, 0.05, 0.10)
 def force_N(space: Space, held: Array, top_m: Array, law: Law, depths_m: Array) -> Array:
     """Return the force against a sphere pressed down at a point [N], shape (d,).
 
-    Depths begin where it first touches a node. The force is NaN where a solve did not converge.
+    Depths begin where it first touches a node. The force is NaN from the first depth at which a
+    solve did not converge.
     """
     solver = NewtonSolver(NonlinearBody(space, LIVER, law=law), held, tolerance=TOLERANCE)
-    _, touching = resting_sphere(solver, top_m, DOWN, RADIUS_M, NODES)
-    found = []
-    for depth in depths_m:
-        tip = top_m + (touching + depth + RADIUS_M) * DOWN
-        solution, *_ = press_at(solver, tip, DOWN, radius_m=RADIUS_M)
-        found.append(solution.tool_force_N[2] if solution.converged else np.nan)
-    return np.array(found)
+    sphere, touching = resting_sphere(solver, top_m, DOWN, RADIUS_M, NODES)
+    found = np.full(len(depths_m), np.nan)
+    now = None
+    for number, depth in enumerate(depths_m):
+        sphere.centre_m = top_m + (touching + depth) * DOWN
+        solution = solver.solve(sphere=sphere, start_m=now)
+        if not solution.converged:
+            break
+        now = solution.displacement_m
+        found[number] = solution.tool_force_N[2]
+    return found
 
 
 def passed_at_m(depths_m: Array, error: Array, share: float) -> float:

@@ -325,58 +325,6 @@ class NewtonSolver:
 
 STIFFER = 10.0
 """Contact penalty of a surface node, divided by the stiffness of the node."""
-NODES = 1e-5
-"""Largest allowed distance between a node in contact and the sphere, divided by the radius."""
-LONGEST = 0.3
-"""Longest step of the sphere, divided by its radius."""
-
-
-def press_at(
-    solver: NewtonSolver,
-    tip_m: Array,
-    direction: Array,
-    *,
-    radius_m: float,
-    tolerance: float = NODES,
-) -> tuple[NewtonSolution, RigidSphere, float]:
-    """Solve for the equilibrium of a body under a rigid sphere that moves in a straight line.
-
-    The body is at rest at the start.
-
-    Parameters
-    ----------
-    solver
-        Solver of the body.
-    tip_m, direction
-        Foremost point of the sphere at its final position [m], and unit direction of its motion,
-        each of shape (3,).
-    radius_m
-        Radius of the sphere [m].
-    tolerance
-        Allowed depth of a node inside the sphere, divided by the radius.
-
-    Returns
-    -------
-    The equilibrium, or the first solution that did not converge; the sphere; and the length of the
-    sphere's path from its first touch of the body [m]. The length is not positive if the sphere
-    does not reach the body.
-
-    Raises
-    ------
-    InputError
-        If the radius is not positive, or if no node of the surface lies in the sphere's path.
-    """
-    sphere, touching = resting_sphere(solver, tip_m, direction, radius_m, tolerance)
-    depth = -radius_m - touching
-    now = None
-    # There is at least one step. A step of more than LONGEST radii could invert cells.
-    for stop in np.linspace(touching, -radius_m, 2 + max(0, int(depth / (LONGEST * radius_m))))[1:]:
-        sphere.centre_m = tip_m + stop * direction
-        solution = solver.solve(sphere=sphere, start_m=now)
-        if not solution.converged:
-            break
-        now = solution.displacement_m
-    return solution, sphere, depth
 
 
 def resting_sphere(

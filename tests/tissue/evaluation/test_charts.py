@@ -26,7 +26,7 @@ from tissue.evaluation.charts.settings import (
     settings_of,
 )
 from tissue.fem.hyperelastic import Law, NonlinearBody
-from tissue.fem.newton import NewtonSolver, press_at
+from tissue.fem.newton import NewtonSolver, resting_sphere
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.scene.coupling import Fidelity
@@ -103,10 +103,14 @@ def test_the_error_of_the_linear_law_in_a_column_that_cannot_widen():
         solver = NewtonSolver(
             NonlinearBody(space, (first_Pa, shear_Pa), law=law), held, tolerance=1e-6
         )
-        tips = [np.array([0.5 * side, 0.5 * side, height - e * height]) for e in strains]
-        found = [press_at(solver, tip, np.array([0.0, 0.0, -1.0]), radius_m=0.05) for tip in tips]
-        assert [depth for *_, depth in found] == pytest.approx(strains * height, rel=1e-9)
-        force[law] = np.array([solution.tool_force_N[2] for solution, *_ in found])
+        top, down = np.array([0.5 * side, 0.5 * side, height]), np.array([0.0, 0.0, -1.0])
+        ball, touching = resting_sphere(solver, top, down, 0.05, 1e-5)
+        assert touching == pytest.approx(-0.05, rel=1e-9)
+        found = []
+        for e in strains:
+            ball.centre_m = top + (e * height - 0.05) * down
+            found.append(solver.solve(sphere=ball).tool_force_N[2])
+        force[law] = np.array(found)
     s = 1.0 - strains
     linear_Pa = (first_Pa + 2.0 * shear_Pa) * strains
     neo_Pa = shear_Pa * (1.0 / s - s) - first_Pa * np.log(s) / s
