@@ -145,10 +145,6 @@ class OrganFields:
         law = organ.law
         assert law is not None
         region = window.region
-        if region is None:
-            moved = found.displacement_m
-            stress = cauchy_stress(self._space, moved, law.law, law.cell_factors)
-            return moved, stress, found.internal_N - found.load_N
         load = self._spread(crept_N)
         # The forces of the springs equal the contact forces within the tolerance.
         load[region.nodes] += (found.load_N - window.spread(crept_N))[: len(region.nodes)]
