@@ -77,16 +77,18 @@ class StressState:
     strain: Array
     stress_Pa: Array
 
-    @property
-    def von_mises_Pa(self) -> Array:
-        """Von Mises stress [Pa], shape (n,)."""
-        return np.sqrt(1.5) * deviator_norm(self.stress_Pa)
 
-    @property
-    def principal_Pa(self) -> Array:
-        """Principal stresses [Pa], largest first, shape (n, 3)."""
-        tensor = self.stress_Pa[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]]
-        return np.linalg.eigvalsh(tensor)[:, ::-1]
+def von_mises(stress: Array) -> Array:
+    """Return the von Mises stress of stress tensors xx, yy, zz, yz, xz, xy, shape (n, 6)."""
+    return np.sqrt(1.5) * deviator_norm(stress)
+
+
+def principal_stresses(stress: Array) -> Array:
+    """Return the principal stresses, largest first, shape (n, 3).
+
+    The components xx, yy, zz, yz, xz, xy of the stress have the shape (n, 6).
+    """
+    return np.linalg.eigvalsh(stress[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]])[:, ::-1]
 
 
 def deviator_norm(components: Array) -> Array:

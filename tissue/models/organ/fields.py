@@ -13,6 +13,8 @@ from tissue.fem.fields import (
     cell_stress,
     deviator_norm,
     displacement_gradient,
+    principal_stresses,
+    von_mises,
 )
 from tissue.fem.quasi_newton import Followed
 from tissue.fem.space import EDGES, Space, gauss_points
@@ -201,8 +203,8 @@ class OrganFields:
             np.add.at(reaction, end, 0.5 * reaction[corners:])
         points = {"displacement_mm": 1e3 * moved_m[:corners], "reaction_N": reaction[:corners]}
         cells = {
-            "von_mises_kPa": 1e-3 * stress.von_mises_Pa,
-            "principal_stress_kPa": 1e-3 * stress.principal_Pa,
+            "von_mises_kPa": 1e-3 * von_mises(stress.stress_Pa),
+            "principal_stress_kPa": 1e-3 * principal_stresses(stress.stress_Pa),
             # Von Mises equivalent strain sqrt(2/3 e : e), with the deviator e of the strain.
             "strain_percent": 100.0 * np.sqrt(2.0 / 3.0) * deviator_norm(strain),
         }

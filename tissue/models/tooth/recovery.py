@@ -13,8 +13,8 @@ import warp as wp
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from kernels.launcher import SplitLaunch, run_once
-from kernels.particle_stiffness import invariants, point_stress
+from kernels.launcher import SplitLaunch
+from kernels.particle_stiffness import point_stress
 from meshes.base.arrays import Array, Integers
 from tissue.fem.conjugate_gradients import Solution
 from tissue.fem.solvers.held_body import rigid_modes
@@ -30,26 +30,17 @@ class StressPoints:
     ----------
     cells
         The cells of the body.
-    row
-        Row of each point in the arrays `cell`, `place` and `lame_Pa`, shape (n,).
     cell, place, lame_Pa
-        NumPy or Warp arrays with one row per material sample: index of its cell, position in this
-        cell (0 to 1 along each edge), and Lame constants [Pa], shape (rows, 2).
+        NumPy or Warp arrays with one row per point: index of its cell, position in this cell (0 to
+        1 along each edge), and Lame constants [Pa], shape (n, 2).
     """
 
-    def __init__(
-        self, cells: CellStiffness, row: Integers, cell: Any, place: Any, lame_Pa: Any
-    ) -> None:
+    def __init__(self, cells: CellStiffness, cell: Any, place: Any, lame_Pa: Any) -> None:
         self._cells = cells
-        self._stress = wp.empty((len(row), 6), wp.float64, cells.device)
+        self._stress = wp.empty((len(cell), 6), wp.float64, cells.device)
         at_corners = [cells.cell_nodes_on, cells.displacement, cells.grid.edge_m]
-        self._launch = SplitLaunch(
-            point_stress,
-            len(row),
-            [row, cell, place, lame_Pa, *at_corners],
-            [self._stress],
-            cores=1,
-        )
+        inputs = [cell, place, lame_Pa, *at_corners]
+        self._launch = SplitLaunch(point_stress, len(cell), inputs, [self._stress], cores=1)
 
     def __call__(self, displacement_m: Array) -> Array:
         """Return the stress at the n points [Pa], shape (n, 6), for nodal displacements [m].
@@ -59,19 +50,6 @@ class StressPoints:
         self._cells.displacement.assign(displacement_m)
         self._launch()
         return self._stress.numpy()
-
-
-def stress_invariants(stress_Pa: Array, *, device: str = "cpu") -> tuple[Array, Array]:
-    """Return the von Mises stress and the principal stresses, largest first.
-
-    The stress has shape (n, 6), with the components xx, yy, zz, yz, xz, xy. The results have shapes
-    (n,) and (n, 3).
-    """
-    count = len(stress_Pa)
-    von_mises = wp.empty(count, wp.float64, device)
-    principal = wp.empty(count, wp.vec3d, device)
-    run_once(invariants, count, [stress_Pa], [von_mises, principal])
-    return von_mises.numpy(), principal.numpy()
 
 
 REACH_M = 0.6e-3
@@ -140,7 +118,6 @@ class StressRecovery:
         own_layer = sorted_layer[first]
         self._points = StressPoints(
             cells,
-            np.arange(len(at)),
             self._cell,
             mean(cells.place.numpy()),
             mean(cells.lame.numpy()),
