@@ -40,7 +40,7 @@ def cube(order: int) -> tuple[Space, HeldBody, QuasiNewton]:
         space,
         body,
         QuasiNewton(
-            NonlinearBody(space, None, law=LAW), body.fixed, solver_of(body.stiffness), solver_of
+            NonlinearBody(space, law=LAW), body.fixed, solver_of(body.stiffness), solver_of
         ),
     )
 
@@ -75,7 +75,7 @@ def softening_bar() -> tuple[Space, HeldBody, QuasiNewton, NonlinearBody]:
     def solver_of(stiffness):
         return DirectSolver(HeldBody(stiffness, space.nodes_m, held.fixed), last=nodes)
 
-    body = NonlinearBody(space, None, law=SOFTENING)
+    body = NonlinearBody(space, law=SOFTENING)
     return space, held, QuasiNewton(body, held.fixed, solver_of(held.stiffness), solver_of), body
 
 
