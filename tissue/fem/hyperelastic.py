@@ -1,7 +1,7 @@
 """Tetrahedra under large deformation: energy, nodal forces and tangent stiffness.
 
-Hyperelastic laws are too slow for a tick of 1 ms. Linear tetrahedra lock if Poisson's ratio is near 0.5. Quadratic tetrahedra with
-four Gauss points do not lock.
+Hyperelastic laws are too slow for a tick of 1 ms. Linear tetrahedra lock if Poisson's ratio is near
+0.5. Quadratic tetrahedra with four Gauss points do not lock.
 """
 
 from typing import Any
