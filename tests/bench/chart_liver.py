@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from harness import machine, table
+from newton_press import NewtonSolver, resting_sphere
 
 from meshes.base.arrays import Array
 from meshes.organs.liver import liver, liver_region
@@ -23,7 +24,6 @@ from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import tetrahedralise
 from tissue.fem.assembly import assemble
 from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.newton import NewtonSolver, resting_sphere
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.materials.hyperelasticity import Hyperelastic

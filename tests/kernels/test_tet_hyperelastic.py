@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hyperelastic_law import energy as energy_of
 from hyperelastic_law import tangent as tangent_of
+from newton_press import NewtonSolver
 from scipy.spatial.transform import Rotation
 
 from meshes.tets.structured import box
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.newton import NewtonSolver
 from tissue.fem.space import Space
 from tissue.materials.hyperelasticity import Hyperelastic
 

@@ -6,6 +6,7 @@ geometry and energy alone, and with the tetrahedra of an organ.
 
 import numpy as np
 import pytest
+from newton_press import NewtonSolver, RigidSphere
 from spline_press import spline_press_N
 
 from meshes.base.errors import InputError
@@ -13,7 +14,6 @@ from meshes.tets.structured import graded, grid
 from tissue.fem import axisymmetric
 from tissue.fem.axisymmetric import LinearLaw, layer_mesh, press_forces
 from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.newton import NewtonSolver, RigidSphere
 from tissue.fem.space import Space
 from tissue.fitting.probe_laws import layer_scene, probe_curves
 from tissue.materials.constants import constants

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from newton_press import NewtonSolver
 from scipy.spatial.transform import Rotation
 
 from meshes.tets.structured import box
@@ -9,7 +10,6 @@ from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.assembly import assemble
 from tissue.fem.conjugate_gradients import SolverOutcome
 from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.newton import NewtonSolver
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
 from tissue.materials.hyperelasticity import Hyperelastic

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from newton_press import NewtonSolver
 from numpy.typing import NDArray
 from round_bodies import mapped
 from scipy.optimize import nnls
 
 from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.newton import NewtonSolver
 from tissue.fem.space import Space
 from tissue.materials.hyperelasticity import Hyperelastic
 
