@@ -267,14 +267,9 @@ class DirectSolver:
 
         Rows of held unknowns are zero.
         """
-        found = np.empty((len(self._order.position), len(unknowns)))
-        # The loads of a few columns at a time: all of them would take as much memory as the result.
-        for start in range(0, len(unknowns), TOGETHER):
-            some = unknowns[start : start + TOGETHER]
-            loads = np.zeros((len(found), len(some)))
-            loads[some, np.arange(len(some))] = 1.0
-            found[:, start : start + TOGETHER] = self.displacements_m(loads)
-        return found
+        loads = np.zeros((len(self._order.position), len(unknowns)))
+        loads[unknowns, np.arange(len(unknowns))] = 1.0
+        return self.displacements_m(loads)
 
     def compliance_between(self, nodes: Ints) -> Array:
         """Compute the compliance between k nodes [m/N], shape (3k, 3k).

@@ -176,16 +176,12 @@ class SupportCompliance:
         matrix must not be used.
     loads_N
         Nodal forces of each solution [N], shape (n, 3).
-    asymmetry
-        Largest asymmetry of the computed matrix, before it was made symmetric. Asymmetry is the
-        difference of two mirrored entries divided by the geometric mean of their diagonal entries.
     """
 
     matrix: Array
     reference_m: Array
     solutions: tuple[Solution, ...]
     loads_N: tuple[Array, ...]
-    asymmetry: float
 
     @property
     def converged(self) -> bool:
@@ -232,12 +228,7 @@ def support_compliance(
         matrix[:, column] = np.einsum("nik,ni->k", spread, found.displacement_m)
         solutions.append(found)
     body.displacement_m = kept
-    # The entries have different units, so each entry is compared with the diagonal.
-    size = np.sqrt(np.abs(np.outer(np.diag(matrix), np.diag(matrix))))
-    asymmetry = float((np.abs(matrix - matrix.T) / np.where(size > 0.0, size, 1.0)).max())
-    return SupportCompliance(
-        0.5 * (matrix + matrix.T), reference_m, tuple(solutions), tuple(loads), asymmetry
-    )
+    return SupportCompliance(0.5 * (matrix + matrix.T), reference_m, tuple(solutions), tuple(loads))
 
 
 NULL_CUT = 1e-6
