@@ -88,7 +88,8 @@ def principal_stresses(stress: Array) -> Array:
 
     The components xx, yy, zz, yz, xz, xy of the stress have the shape (n, 6).
     """
-    return np.linalg.eigvalsh(stress[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]])[:, ::-1]
+    values = np.linalg.eigvalsh(stress[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]])
+    return np.asarray(values[:, ::-1], dtype=np.float64)
 
 
 def deviator_norm(components: Array) -> Array:

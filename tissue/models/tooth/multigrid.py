@@ -27,7 +27,7 @@ from kernels.launcher import SplitLaunch, run_once
 from kernels.mirror import put
 from meshes.base.arrays import Array, Int32s
 from tissue.models.tooth.finest_level import FinestLevel
-from tissue.models.tooth.grid import CORNERS, NEIGHBOURS, NodeSupports
+from tissue.models.tooth.grid import CORNERS, NEIGHBOURS, HexGrid, NodeSupports
 from tissue.models.tooth.stiffness import CellStiffness
 
 COARSEST_NODES = 300
@@ -70,12 +70,13 @@ class GridLevel:
     """
 
     def __init__(self, fine: "FinestLevel | GridLevel") -> None:
-        grid, self._parent = fine.grid.coarse()
-        device = fine.device
+        grid, parent = fine.grid.coarse()
+        device: str = fine.device
         count = grid.node_count
-        self.grid = grid
+        self.grid: HexGrid = grid
         self.device = device
-        self.cores = fine.cores
+        self.cores: int | None = fine.cores
+        self._parent = parent
         self.cell_nodes = put(grid.cell_nodes, wp.int32, device)
         self.live = wp.zeros(grid.cell_count, wp.uint8, device)
         self.stiffness = wp.zeros((grid.cell_count, BLOCKS), wp.mat33d, device)

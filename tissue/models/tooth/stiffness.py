@@ -1,5 +1,6 @@
 """Stiffness of the cells of a grid, summed over particles that may lose volume."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -131,7 +132,7 @@ class CellStiffness:
         others = np.flatnonzero(~self.regular)
         of_springs = self.regular[sprung]
         self.others = self._packed_product(others, others, self.stiffness)
-        self._product = [
+        self._product: list[Callable[[], object]] = [
             SplitLaunch(to_lanes, count, taken, [moved.single], cores=cores),
             lanes.single.zero_,
             StripProduct(self.layout, self.weight, moved, lanes, device=device, cores=cores),
