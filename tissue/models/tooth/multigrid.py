@@ -71,10 +71,10 @@ class GridLevel:
 
     def __init__(self, fine: "FinestLevel | GridLevel") -> None:
         grid, parent = fine.grid.coarse()
-        device: str = fine.device
+        device = fine.device
         count = grid.node_count
         self.grid: HexGrid = grid
-        self.device = device
+        self.device: str = device
         self.cores: int | None = fine.cores
         self._parent = parent
         self.cell_nodes = put(grid.cell_nodes, wp.int32, device)
