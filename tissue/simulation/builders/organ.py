@@ -171,8 +171,7 @@ def material_of(
     Raises
     ------
     InputError
-        If the organ is viscous and its compliance is ``lazy`` (see the key ``organ.path``), or if
-        its material has no relaxation constants.
+        If the organ is viscous and its material has no relaxation constants.
     """
     cited = constants.constants("soft", organ.material)
     young_kPa = organ.young_kPa or cited["modulus_kPa"].value
@@ -205,10 +204,6 @@ def material_of(
         density = cited["density_kg_m3"].value
     relaxation: list[tuple[float, float]] = []
     if organ.viscous:
-        if organ.path == "lazy":
-            raise InputError(
-                "organ.path", "not be lazy for a viscous organ", "lazy", "use condensed"
-            )
         # The file of constants numbers the terms of the series.
         numbers = [k for k in range(1, 10) if f"prony_g{k}" in cited]
         if not numbers:
