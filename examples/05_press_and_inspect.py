@@ -61,7 +61,7 @@ print(f"force at {depth[-1]:.1f} mm: {force[-1]:.3f} N, {ratio:.2f} of Hertz on 
 print(run.events[0][1])
 assert abs(force[-1] - 0.285) < 0.01
 assert abs(ratio - 0.86) < 0.03
-assert [what.split(":")[0] for _, what in run.events] == ["pressed 3.7 mm deep"]
+assert [what.split(":")[0] for _, what in run.events] == ["pressed 3.3 mm deep"]
 
 # %%
 # The mesh of the last frame is a pyvista mesh, with the displacement at the points and the stress

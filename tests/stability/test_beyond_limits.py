@@ -64,7 +64,7 @@ def test_a_nearly_incompressible_organ_of_linear_tetrahedra_is_noted():
 
 @pytest.mark.slow
 def test_a_ball_deep_in_a_linear_organ_is_an_event():
-    # a coarse slab that builds in seconds; 4 mm is beyond 0.37 of the ball's radius
+    # a coarse slab that builds in seconds; 4 mm is beyond 0.33 of the ball's radius
     changes = {
         "anatomy.size_mm": [60, 60, 30],
         "anatomy.edge_mm": 15,
