@@ -27,12 +27,12 @@ A brick is a block of 8 x 8 x 8 voxels. The assumed distance is the larger of th
 one voxel, where d is the distance at a neighbouring voxel. The limit is half a voxel. This is the
 true distance next to a grid whose outermost voxels are full.
 """
-CORNERS = wp.constant(8)
+CORNERS = 8
 # stored surface distance of 1.78 voxels inside: all corners of a cell lie inside the bone
-DEEP = wp.constant(128 - 112)
-AIR = wp.constant(128 + 112)  # 1.78 voxels outside: no corner lies in bone
+DEEP = 128 - 112
+AIR = 128 + 112  # 1.78 voxels outside: no corner lies in bone
 # stored boundary distance of 1.78 voxels: all corners of a cell lie in one layer
-FAR = wp.constant(226)
+FAR = 226
 
 
 @wp.struct

@@ -244,6 +244,3 @@ def cube_behind_plane(plane: Plane, distance: float):
     else:
         volume = (a - 0.5 * m12) / m3
     return wp.where(whole > 0.5, 1.0 - volume, volume)
-
-
-wp.set_module_options({"enable_backward": False})

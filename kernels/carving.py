@@ -28,8 +28,6 @@ from kernels.arrays import Bits, Bytes, Doubles2D, Int32s3D, Int64s, Int64s2D, S
 from kernels.bricks import LOST, REACHED, cube_behind_plane, layer_of, plane_of
 from kernels.revolution import EDGE_BEND, Nearest, Revolution, nearest_on, offset_from
 
-wp.set_module_options({"enable_backward": False})
-
 # Number of groups of bricks. It is a power of two, so that a remainder takes one instruction.
 PHASES = 32
 # The group of a brick is the remainder of its indices times these factors. With factors of 1 to 10,
@@ -37,8 +35,8 @@ PHASES = 32
 # are not used, because neighbouring bricks must be visited at almost the same pose.
 ALONG_X = 3
 ALONG_Y = 2
-REMAINDER = wp.constant(PHASES - 1)
-OLDER_ROW = wp.constant(1 + PHASES)  # first row of the poses at which cuts became older cuts
+REMAINDER = PHASES - 1
+OLDER_ROW = 1 + PHASES  # first row of the poses at which cuts became older cuts
 # Indices into the plan of a kernel launch.
 FIRST = 0  # first group
 COUNT = 1  # number of groups
@@ -48,13 +46,13 @@ ORIGIN = 4  # group of the first brick
 MOVED = 5  # one bit per group, 1 if its cuts become older cuts
 TURNED = 6  # one bit per group, 1 if this also holds in front of the tool
 PLAN = 7  # number of entries
-BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
-LONGEST_STEP = wp.constant(1.0)  # upper bound of the motion between two visits of a brick [voxel]
-EDGE = wp.constant(float(EDGE_BEND))
+BLOCK_REACH = 1.7320508  # half diagonal of a block of 2 voxels [voxel]
+LONGEST_STEP = 1.0  # upper bound of the motion between two visits of a brick [voxel]
+EDGE = float(EDGE_BEND)
 # Test whether a block lies behind a tool with a radius of 8 voxels: the surface in the middle of
 # the block must face away from the motion by more than the normal turns within the block.
-BEHIND = wp.constant(0.2)
-BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [voxel]
+BEHIND = 0.2
+BRICK_REACH = 6.9282032  # half diagonal of a brick of 8 voxels [voxel]
 
 
 @wp.kernel

@@ -16,9 +16,7 @@ import warp as wp
 
 from kernels.arrays import Singles3D
 
-wp.set_module_options({"enable_backward": False})
-
-OPEN = wp.constant(2.0)
+OPEN = 2.0
 """Largest ratio of a face's conducting fraction to the smaller filled fraction of its two cells.
 
 Compared with a ratio of 1, the stable time step is shorter by this factor.

@@ -38,9 +38,9 @@ from kernels.near_compliance import (
     moved_at,
 )
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
-SLACK = wp.constant(wp.float64(1.25))
+SLACK = wp.float64(1.25)
 """Search distance around the middle of a triangle, in triangle radii.
 
 The radius of a triangle is the distance from its middle to its farthest corner. A search distance

@@ -34,7 +34,7 @@ import warp as wp
 from kernels.arrays import Doubles, Doubles2D, Int32s, Int32s2D, Matrices2D, Vectors
 from kernels.constants import HALF, ONE, TWO, ZERO
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 
 SPHERE = 0
@@ -203,9 +203,9 @@ def distance_to(kind: int, size: wp.vec2d, pose: Pose, points: Points, point: in
 # Largest number of steps. Bisection, the fallback, reduces a bracket to rounding errors in 53
 # steps.
 NEWTON_STEPS = 60
-EXACT = wp.constant(wp.float64(1e-13))
+EXACT = wp.float64(1e-13)
 """Relative distance of a slipping point's force from the friction cone at which iteration ends."""
-TINY = wp.constant(wp.float64(1e-12))
+TINY = wp.float64(1e-12)
 """Term added to the diagonal of a compliance that may be singular, relative to its trace."""
 
 

@@ -42,8 +42,6 @@ from kernels.engagement import (
     Coefficients,
 )
 
-wp.set_module_options({"enable_backward": False})
-
 # Indices into the sums. The derivatives of force and torque by each of up to six unknowns follow
 # after the areas. With three unknowns, only the force has derivatives, and the torque is the torque
 # at the given velocity.
@@ -53,7 +51,7 @@ AREA = 7  # engaged area of each layer [m2]
 MOTION_ROWS = 5
 """Number of rows of the array ``motion`` that `cutting_forces` reads."""
 # Lower limit of widths, motions and chip thicknesses in denominators [m].
-TINY = wp.constant(1.0e-12)
+TINY = 1.0e-12
 
 
 @wp.struct

@@ -26,7 +26,7 @@ lanes8 = wp.types.vector(length=LANES, dtype=wp.float32)
 Lanes2D = wp.array2d(dtype=lanes8)
 # Largest advance of an element that does not cut, relative to the speed of the tip. It is more than
 # the rounding error of an advance in single precision.
-LEAST_ADVANCE = wp.constant(1.0e-5)
+LEAST_ADVANCE = 1.0e-5
 
 
 @wp.struct

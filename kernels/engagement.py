@@ -41,8 +41,6 @@ from kernels.older_cuts import RAMP, SLOTS, bone_left
 from kernels.recent_cuts import CLOSE, Poses, poses_in_front, recently_cut
 from kernels.revolution import Revolution
 
-wp.set_module_options({"enable_backward": False})
-
 # Indices of the rows that describe the bone in front of eight elements.
 DISTANCE = 0  # signed distance to the surface [m], positive outside the bone
 SLOPE = 1  # gradient of the distance by the element's position, in the tool's axes, 3 rows
@@ -55,7 +53,7 @@ EDGE = 11  # edge forces of the whole element [N]: tangential, radial, axial
 FOUND = 14  # number of rows
 POSE_ROWS = 7
 """Number of rows of the array ``motion`` (pose and motion) that `find_bone` reads."""
-DENSITIES = wp.constant(20001)
+DENSITIES = 20001
 """Number of entries per layer in the table `Coefficients.strength`.
 
 There is one entry for each density from 0 to 20,000 kg/m3, the largest density of bone that the
@@ -63,13 +61,13 @@ library accepts.
 """
 # Largest width of an element across the surface [voxel]. Half of this width is less than 1.78
 # voxels, the range in which distances are interpolated, see `kernels.bone_lookup`.
-WIDEST = wp.constant(3.5)
+WIDEST = 3.5
 # Smallest width of an element across the surface [voxel]. The width of an element parallel to the
 # surface would be zero.
-NARROWEST = wp.constant(1.0e-3)
+NARROWEST = 1.0e-3
 # Distance in front of a hand-held tool within which bone is found [voxel]. After a search, the tool
 # moves by less than this distance before the next search.
-NEAR = wp.constant(0.2)
+NEAR = 0.2
 
 
 @wp.struct

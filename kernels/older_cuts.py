@@ -19,16 +19,14 @@ from kernels.bricks import Cell, cell_of, corner8f, corner8i, corners_of
 from kernels.carving import EDGE, corner_offset, distance_at
 from kernels.revolution import Nearest, Revolution, nearest_on, offset_from
 
-wp.set_module_options({"enable_backward": False})
-
-NEVER = wp.constant(65535)  # stored if the tool has not been near
+NEVER = 65535  # stored if the tool has not been near
 # Upper bound of the distance from a voxel's centre to a point in the voxel [voxel].
-CLEAR = wp.constant(0.9)
+CLEAR = 0.9
 # length of bone up to an older cut at which the whole width of an element cuts [voxel]
-RAMP = wp.constant(0.01)
+RAMP = 0.01
 # Upper bound of the sum of RAMP and the errors of tables and tangent spheres [voxel].
-ROUGH = wp.constant(0.05)
-FARTHEST = wp.constant(2.0)  # upper limit of a difference [voxel]
+ROUGH = 0.05
+FARTHEST = 2.0  # upper limit of a difference [voxel]
 SLOTS = 64
 """Number of 2 x 2 x 2 blocks whose distances to the tool are stored for a chunk of elements.
 
@@ -36,7 +34,7 @@ Four blocks along each axis are enough, because neighbouring cutting elements us
 Each entry holds the indices of a block, and the distance, bend and slope of the tool's surface at
 the middle of the block. A further entry at the end is 1 if the block entries are valid.
 """
-NOWHERE = wp.constant(-1.0e9)  # index of an empty entry
+NOWHERE = -1.0e9  # index of an empty entry
 
 
 @wp.func

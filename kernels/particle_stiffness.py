@@ -46,9 +46,7 @@ from kernels.arrays import (
 from kernels.constants import HALF, ONE, THREE, TWO, ZERO
 from kernels.hexahedra import BLOCKS, block_of, corner_gradients
 
-wp.set_module_options({"enable_backward": False})
-
-FULL_STEPS = wp.constant(wp.float64(65535.0))
+FULL_STEPS = wp.float64(65535.0)
 """Stored value of the remaining volume of a particle that has lost no material."""
 
 
@@ -128,7 +126,7 @@ def particle_stiffness(
         stiffness_out[cell, block_of(a, a)] = diagonal
 
 
-THIRD_TURN = wp.constant(wp.float64(2.0943951023931953))
+THIRD_TURN = wp.float64(2.0943951023931953)
 """Difference between the angles of two eigenvalues in Smith's formula, 2 pi / 3."""
 
 

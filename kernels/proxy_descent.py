@@ -15,9 +15,9 @@ from kernels.constants import HALF, ONE, TWO, ZERO
 from kernels.proxy_contacts import Contacts
 from kernels.proxy_forces import resolve
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
-SMALL = wp.constant(wp.float64(1.0e-8))
+SMALL = wp.float64(1.0e-8)
 """Angle [rad], or sine, below which a ratio of sines is replaced by its limit for angle 0."""
 
 
@@ -88,9 +88,9 @@ STALLS = 2
 A stall is a step that hardly decreases the energy of the springs between proxy and device. Stalls
 occur near voxels, where the proxy may oscillate across creases of the bone surface.
 """
-LITTLE = wp.constant(wp.float64(1.0e-4))
+LITTLE = wp.float64(1.0e-4)
 """Relative decrease of the spring energy below which a step near voxels counts as a stall."""
-TOO_DEEP = wp.constant(wp.float64(0.1))
+TOO_DEEP = wp.float64(0.1)
 """Penetration of a tool point, relative to the step length, above which the step is undone."""
 
 

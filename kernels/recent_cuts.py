@@ -15,13 +15,11 @@ import warp as wp
 from kernels.arrays import Singles2D
 from kernels.elements import LANES, Elements, lanes8
 
-wp.set_module_options({"enable_backward": False})
-
 # Number of poses between two checks whether the remaining poses can be skipped; chosen.
-CHECKED = wp.constant(8)
+CHECKED = 8
 # Smallest distance to the surface of the most recent cuts at which bone counts as cut [m]. It is
 # also the width over which an element's share falls to 0 at this surface.
-CLOSE = wp.constant(2.0e-8)
+CLOSE = 2.0e-8
 
 
 @wp.struct

@@ -10,17 +10,17 @@ from kernels.arrays import Doubles2D, Int32s, Vectors
 from kernels.constants import ONE
 from kernels.contact_state import NEARBY, Body, Lists, Points, pose_of
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
-TWICE = wp.constant(wp.float64(2.0))
+TWICE = wp.float64(2.0)
 """Upper bound of the distance between two points of a triangle, in radii of its bounding ball."""
-GRAZING = wp.constant(wp.float64(0.1))
+GRAZING = wp.float64(0.1)
 """Smallest cosine between a shell point's normal and the inward triangle normal for a contact.
 
 The angle is 84 degrees. At this angle, the distance from the point to the triangle's plane is ten
 times as long along the point's normal as along the perpendicular.
 """
-EDGE = wp.constant(wp.float64(-1e-9))
+EDGE = wp.float64(-1e-9)
 """Smallest barycentric weight at which a point is treated as a point of the triangle.
 
 The value is slightly negative, so a point on an edge belongs to the triangles on both sides of the

@@ -14,38 +14,36 @@ from kernels.arrays import Doubles2D, Int32s, Vectors
 from kernels.constants import HALF, ONE, TWO, ZERO
 from kernels.tool_distance import nearest_on_triangle, widened
 
-wp.set_module_options({"enable_backward": False})
-
-DEPTH_TOLERANCE_M = wp.constant(wp.float64(3.0e-6))
+DEPTH_TOLERANCE_M = wp.float64(3.0e-6)
 """Largest accepted difference [m] between the smallest signed distance and its lower bound."""
-CELLS = wp.constant(128)
+CELLS = 128
 """Number of rows of the search stack.
 
 The search stack holds the cells that remain to be searched, where a cell is a part of the tool's
 medial axis. Each halving of a cell adds one row. Thirty halvings reduce both sides of a cell from
 30 mm to about a micrometre.
 """
-CELL_COLUMNS = wp.constant(6)
-DOUBLING = wp.constant(2000)
+CELL_COLUMNS = 6
+DOUBLING = 2000
 """Number of evaluated cells after which the tolerance of a long search doubles.
 
 A cell is a part of the tool's medial axis. The evaluation of a cell takes up to 0.3 ms, so the
 tolerance must grow faster than in `kernels.structure_distance`.
 """
-FAR_M = wp.constant(wp.float64(1.0e3))
+FAR_M = wp.float64(1.0e3)
 """Range [m] of the search for the nearest surface point, larger than any structure."""
-NEAR_M = wp.constant(wp.float64(1.0e-6))
+NEAR_M = wp.float64(1.0e-6)
 """Distance [m] from a surface below which the direction to the surface is not accurate."""
-OUTSIDE_SIZES = wp.constant(wp.float64(16.0))
+OUTSIDE_SIZES = wp.float64(16.0)
 """Distance from the structure's surface to an auxiliary point outside the structure, in cell sizes.
 
 From the distance of this point, a bound for the balls of a cell (part of the tool's medial axis) is
 computed. If the space outside the structure is large enough, the bound is below the true distance
 by about 1/32 of the cell size.
 """
-HULL = wp.constant(8)
+HULL = 8
 """Number of corners of the hull around a cell of the medial axis, see `hull_corner`."""
-WIDE_RAD = wp.constant(wp.float64(1.0))
+WIDE_RAD = wp.float64(1.0)
 """Smallest half angle [rad] of a cell whose bound is computed only from the cell's size.
 
 For larger angles, the hull around the cell is too coarse. At this angle, the distance of hull

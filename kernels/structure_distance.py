@@ -17,18 +17,16 @@ from kernels.elements import CHUNK, Elements
 from kernels.structure_depth import MedialAxis, first_ball_inside, over_balls
 from kernels.tool_distance import TOLERANCE_M, Outline, bounds_over, distance_to_part, widened
 
-wp.set_module_options({"enable_backward": False})
-
-NODES, TRIANGLES = wp.constant(256), wp.constant(256)
+NODES, TRIANGLES = 256, 256
 """Numbers of rows of two search stacks: stack of tree nodes, and stack of triangles."""
-DOUBLING = wp.constant(10000)
+DOUBLING = 10000
 """Number of distance evaluations after which the tolerance of a long search doubles.
 
 Consider a 3.2 mm drill on the axis of a tube. For a tube of 51,000 triangles, the error is 0.001
 mm, and a tick takes 3 ms. For 205,000 triangles, the error is 0.13 mm, and a tick takes 9 ms. With
 a value of 2,000 instead, the latter error is 0.48 mm, and the tick takes 4 ms.
 """
-LEAF = wp.constant(4)
+LEAF = 4
 """Number of triangles in a leaf of the tree, equal to `meshes.surfaces.box_tree.LEAF`."""
 
 

@@ -42,7 +42,7 @@ from kernels.contact_state import (
 )
 from kernels.near_compliance import LOADED, SLOTS, Patch, move_all, moved_at, push
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 
 @wp.func

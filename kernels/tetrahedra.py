@@ -43,7 +43,7 @@ from kernels.arrays import (
 from kernels.constants import HALF, TWO, ZERO
 from kernels.particle_stiffness import principal_values, von_mises
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 
 @wp.kernel

@@ -17,7 +17,7 @@ from kernels.arrays import Doubles, Int32s, Int32s3D, Matrices, Shorts2D, Single
 from kernels.bricks import voxel_column, voxel_row
 from kernels.constants import HALF, ONE, ZERO
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 HALF_SPACE = 0
 BOX = 1
@@ -26,10 +26,10 @@ CELL = 2
 """Edge length [voxel] of a cell of the grid `Field.clearance`."""
 SURFACE = 0.25
 """Trilinearly interpolated voxel fraction on the surface that the tool touches."""
-LEVEL = wp.constant(wp.float64(SURFACE))
-STEP = wp.constant(wp.float64(1.0 / 65535.0))
+LEVEL = wp.float64(SURFACE)
+STEP = wp.float64(1.0 / 65535.0)
 """Filled fraction that one stored step represents, see `kernels.bricks.FULL`."""
-CELLS_PER_VOXEL = wp.constant(wp.float64(1.0 / CELL))
+CELLS_PER_VOXEL = wp.float64(1.0 / CELL)
 
 
 @wp.struct

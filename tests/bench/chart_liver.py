@@ -21,14 +21,16 @@ from meshes.tets.structured import grid
 from meshes.tets.stuffing import bisected
 from meshes.tets.tetrahedra import TetMesh
 from meshes.tets.tetrahedralise import tetrahedralise
-from tissue.fem.hyperelastic import Law, NonlinearBody
+from tissue.fem.hyperelastic import LinearBody, NonlinearBody
 from tissue.fem.newton import NODES, NewtonSolver, press_at, resting_sphere
 from tissue.fem.space import Space
 from tissue.materials.elasticity import lame
+from tissue.materials.hyperelasticity import Hyperelastic
 
 TOLERANCE = 1e-6
 """Residual of a solve; with nodes `NODES` off, forces hold to about 1e-5."""
 LIVER, RADIUS_M = lame(5e3, 0.45), 0.01
+NEO_HOOKEAN = Hyperelastic.neo_hookean(LIVER[1], bulk_Pa=LIVER[0] + 2.0 / 3.0 * LIVER[1])
 DOWN = np.array([0.0, 0.0, -1.0])
 DEPTHS_M = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 6.0]) * 1e-3
 ANATOMY = Path(__file__).resolve().parents[3] / "shared" / "anatomy" / "liver" / "liver.vtk"
@@ -37,12 +39,12 @@ GROWTH = 1.35
 SHARES = (0.01, 0.05, 0.10)
 
 
-def force_N(space: Space, held: Array, top_m: Array, law: Law, depths_m: Array) -> Array:
+def force_N(body: LinearBody | NonlinearBody, held: Array, top_m: Array, depths_m: Array) -> Array:
     """Return the force against a sphere pressed down at a point [N], shape (d,).
 
     Depths begin where it first touches a node. The force is NaN where a solve did not converge.
     """
-    solver = NewtonSolver(NonlinearBody(space, LIVER, law=law), held, tolerance=TOLERANCE)
+    solver = NewtonSolver(body, held, tolerance=TOLERANCE)
     _, touching = resting_sphere(solver, top_m, DOWN, RADIUS_M, NODES)
     found = []
     for depth in depths_m:
@@ -121,7 +123,8 @@ def main() -> None:
     depths, rows = DEPTHS_M[2::2] if quick else DEPTHS_M, []
     for name, space, held, top in bodies(quick):
         linear, neo = (
-            force_N(space, held, top, law, depths) for law in (Law.LINEAR, Law.NEO_HOOKEAN)
+            force_N(body, held, top, depths)
+            for body in (LinearBody(space, LIVER), NonlinearBody(space, NEO_HOOKEAN))
         )
         passed = [passed_at_m(depths, linear / neo - 1.0, share) for share in SHARES]
         rows.append((name, *(f"{1e3 * depth:.2f}" for depth in passed)))

@@ -17,7 +17,7 @@ SPOILT = {
     "explicit_cutting": ("implicit", "explicit"),
     "thin_walls": ("end_m", None),
     "locking": ("quadratic_m", "linear_coarse_m"),
-    "large_rotation": ("corotational_pa", "linear_pa"),
+    "large_rotation": ("neo_hookean_pa", "linear_pa"),
     "bad_tetrahedra": ("repaired_condition", "condition"),
     "cut_cells": ("scaled", "bare_scaled"),
     "contrast": ("multigrid_8", "plain"),

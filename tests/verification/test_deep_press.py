@@ -58,7 +58,7 @@ def our_presses(
     """
     law = Hyperelastic.neo_hookean(SHEAR_PA, bulk_Pa=BULK_PA)
     solver, top = (
-        NewtonSolver(NonlinearBody(space, None, law=law), held, tolerance=1e-6),
+        NewtonSolver(NonlinearBody(space, law), held, tolerance=1e-6),
         under(space),
     )
     penalty = 10.0 * solver.rest_diagonal.reshape(-1, 3)[top].mean(axis=1)

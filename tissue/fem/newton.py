@@ -23,7 +23,7 @@ from scipy.sparse import bsr_array
 from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
 from tissue.fem.conjugate_gradients import Solution, SolverOutcome, conjugate_gradients
-from tissue.fem.hyperelastic import NonlinearBody
+from tissue.fem.hyperelastic import LinearBody, NonlinearBody
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody
 
@@ -161,7 +161,12 @@ class NewtonSolver:
     """
 
     def __init__(
-        self, body: NonlinearBody, held: Flags, *, tolerance: float = 1e-8, step_limit: int = 60
+        self,
+        body: LinearBody | NonlinearBody,
+        held: Flags,
+        *,
+        tolerance: float = 1e-8,
+        step_limit: int = 60,
     ) -> None:
         self.body = body
         self.held = held

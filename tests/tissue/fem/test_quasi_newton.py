@@ -38,9 +38,7 @@ def cube(order: int) -> tuple[Space, HeldBody, QuasiNewton]:
     return (
         space,
         body,
-        QuasiNewton(
-            NonlinearBody(space, None, law=LAW), body.fixed, solver_of(body.stiffness), solver_of
-        ),
+        QuasiNewton(NonlinearBody(space, LAW), body.fixed, solver_of(body.stiffness), solver_of),
     )
 
 
@@ -74,7 +72,7 @@ def softening_bar() -> tuple[Space, HeldBody, QuasiNewton, NonlinearBody]:
     def solver_of(stiffness):
         return DirectSolver(HeldBody(stiffness, space.nodes_m, held.fixed), last=nodes)
 
-    body = NonlinearBody(space, None, law=SOFTENING)
+    body = NonlinearBody(space, SOFTENING)
     return space, held, QuasiNewton(body, held.fixed, solver_of(held.stiffness), solver_of), body
 
 

@@ -241,9 +241,7 @@ def _follower_of(
     # If the organ was factorised before, its elimination order may be different.
     if not np.isin(nodes, at_rest.last).all():
         at_rest = factorised(organ.body.stiffness)
-    body = NonlinearBody(
-        organ.space, None, law=law, cell_factors=cell_factors, membrane=organ.membrane
-    )
+    body = NonlinearBody(organ.space, law, cell_factors=cell_factors, membrane=organ.membrane)
     return QuasiNewton(body, organ.body.fixed, at_rest, factorised)
 
 
