@@ -6,9 +6,9 @@ triangle.
 
 import warp as wp
 
-from kernels.arrays import Doubles2D, Int32s, Vectors
+from kernels.arrays import Int32s, Vectors
 from kernels.constants import ONE
-from kernels.contact_state import NEARBY, Body, Lists, Points, pose_of
+from kernels.contact_state import NEARBY, SHELL, Body, Lists, Points, pose_of
 
 wp.set_module_options({"max_unroll": 1})
 
@@ -33,12 +33,12 @@ def project_shell(
     # tool
     shell_point: Vectors,  # [point], in the tool's frame [m]
     shell_normal: Vectors,
-    pose_rows: Doubles2D,
+    pose_rows: Vectors,
     reach: wp.float64,  # [m]
-    offset: int,
     # body
     body: Body,
     lists: Lists,
+    offset: int,
     # out
     points_out: Points,
     triangle_out: Int32s,  # [point], -1 if the point meets no triangle
@@ -49,7 +49,7 @@ def project_shell(
     since the last tick (1 ms step). ``reach`` is the radius of the largest triangle [m].
     """
     i = wp.tid() + offset
-    pose = pose_of(pose_rows)
+    pose = pose_of(pose_rows, SHELL, wp.vec2d())
     place = pose.tip + pose.turn * shell_point[i]
     direction = pose.turn * shell_normal[i]
     points_out.tool_point[i] = place

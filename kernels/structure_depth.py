@@ -62,14 +62,11 @@ class MedialAxis:
 
 
 @wp.func
-def in_structure(motion: Doubles2D, radius: wp.float64, angle: wp.float64, height: wp.float64):
+def in_structure(motion: Vectors, radius: wp.float64, angle: wp.float64, height: wp.float64):
     """Convert a point of the tool, in cylindrical coordinates, to the structure's frame."""
-    point_x = radius * wp.cos(angle)
-    point_y = radius * wp.sin(angle)
-    x = motion[0, 0] + motion[1, 0] * point_x + motion[2, 0] * point_y + motion[3, 0] * height
-    y = motion[0, 1] + motion[1, 1] * point_x + motion[2, 1] * point_y + motion[3, 1] * height
-    z = motion[0, 2] + motion[1, 2] * point_x + motion[2, 2] * point_y + motion[3, 2] * height
-    return wp.vec3d(x, y, z)
+    x = radius * wp.cos(angle)
+    y = radius * wp.sin(angle)
+    return motion[0] + x * motion[1] + y * motion[2] + height * motion[3]
 
 
 @wp.func
@@ -89,7 +86,7 @@ def nearest_on_surface(mesh: wp.uint64, point: wp.vec3d):
 
 @wp.func
 def hull_corner(
-    motion: Doubles2D,
+    motion: Vectors,
     start: wp.vec3d,
     end: wp.vec3d,
     angle: wp.float64,
@@ -112,7 +109,7 @@ def hull_corner(
 
 
 @wp.func
-def first_ball_inside(mesh: wp.uint64, motion: Doubles2D, medial: MedialAxis):
+def first_ball_inside(mesh: wp.uint64, motion: Vectors, medial: MedialAxis):
     """Return whether the centre of the first ball of the medial axis lies in the structure."""
     ball = medial.starts[0]
     return is_in_structure(mesh, in_structure(motion, ball[0], ZERO, ball[1]))
@@ -121,7 +118,7 @@ def first_ball_inside(mesh: wp.uint64, motion: Doubles2D, medial: MedialAxis):
 @wp.func
 def cell_bounds(
     mesh: wp.uint64,
-    motion: Doubles2D,
+    motion: Vectors,
     start: wp.vec3d,
     end: wp.vec3d,
     across: int,
@@ -209,7 +206,7 @@ def cell_bounds(
 @wp.func
 def over_balls(
     mesh: wp.uint64,
-    motion: Doubles2D,
+    motion: Vectors,
     medial: MedialAxis,
     best: wp.float64,
     last_segment: Int32s,

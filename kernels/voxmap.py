@@ -13,7 +13,7 @@ remains valid, because removal of bone can only increase the distance.
 
 import warp as wp
 
-from kernels.arrays import Doubles, Int32s, Int32s3D, Matrices, Shorts2D, Singles3D, Vectors
+from kernels.arrays import Int32s, Int32s3D, Matrices, Shorts2D, Singles3D, Vectors
 from kernels.bricks import voxel_column, voxel_row
 from kernels.constants import HALF, ONE, ZERO
 
@@ -95,22 +95,21 @@ def solid_distance(field: Field, solid: int, point: wp.vec3d):
 @wp.func
 def voxel_clearance(field: Field, point: wp.vec3d):
     """Return a lower bound of the distance [m] from a point to the contact range of bone voxels."""
-    ux = (point[0] - field.origin[0]) * field.voxels_per_m
-    uy = (point[1] - field.origin[1]) * field.voxels_per_m
-    uz = (point[2] - field.origin[2]) * field.voxels_per_m
-    nx = field.clearance.shape[0]
-    ny = field.clearance.shape[1]
-    nz = field.clearance.shape[2]
-    cx = wp.clamp(int(wp.floor(ux * CELLS_PER_VOXEL)), 0, nx - 1)
-    cy = wp.clamp(int(wp.floor(uy * CELLS_PER_VOXEL)), 0, ny - 1)
-    cz = wp.clamp(int(wp.floor(uz * CELLS_PER_VOXEL)), 0, nz - 1)
-    bound = wp.float64(field.clearance[cx, cy, cz])
-    if ux < ZERO or uy < ZERO or uz < ZERO or cx == nx - 1 or cy == ny - 1 or cz == nz - 1:
+    place = (point - field.origin) * field.voxels_per_m
+    cell = wp.vec3i()
+    beyond = wp.vec3d()
+    outermost = int(0)
+    for c in range(3):
+        last = field.clearance.shape[c] - 1
+        cell[c] = wp.clamp(int(wp.floor(place[c] * CELLS_PER_VOXEL)), 0, last)
+        if place[c] < ZERO or cell[c] == last:
+            outermost = 1
         # A voxel has an effect up to half a voxel outside its faces, also outside the grid.
-        ax = ux - wp.clamp(ux, -HALF, wp.float64(CELL * nx) + HALF)
-        ay = uy - wp.clamp(uy, -HALF, wp.float64(CELL * ny) + HALF)
-        az = uz - wp.clamp(uz, -HALF, wp.float64(CELL * nz) + HALF)
-        bound = wp.max(bound, wp.sqrt(ax * ax + ay * ay + az * az) * field.spacing)
+        edge = wp.float64(CELL * (last + 1)) + HALF
+        beyond[c] = place[c] - wp.clamp(place[c], -HALF, edge)
+    bound = wp.float64(field.clearance[cell[0], cell[1], cell[2]])
+    if outermost == 1:
+        bound = wp.max(bound, wp.length(beyond) * field.spacing)
     return bound
 
 
@@ -153,12 +152,10 @@ def voxel_level(field: Field, point: wp.vec3d):
     The level is positive outside and zero on the surface. Also return the gradient of the level,
     which has a length of about one near the surface.
     """
-    ux = (point[0] - field.origin[0]) * field.voxels_per_m - HALF
-    uy = (point[1] - field.origin[1]) * field.voxels_per_m - HALF
-    uz = (point[2] - field.origin[2]) * field.voxels_per_m - HALF
-    ix = int(wp.floor(ux))
-    iy = int(wp.floor(uy))
-    iz = int(wp.floor(uz))
+    place = (point - field.origin) * field.voxels_per_m - wp.vec3d(HALF)
+    ix = int(wp.floor(place[0]))
+    iy = int(wp.floor(place[1]))
+    iz = int(wp.floor(place[2]))
     # -2: the eight voxels may lie in several bricks.
     row = int(-2)
     if (ix & 7) < 7 and (iy & 7) < 7 and (iz & 7) < 7:
@@ -166,9 +163,9 @@ def voxel_level(field: Field, point: wp.vec3d):
         if row < 0:
             # All eight voxels are empty.
             return LEVEL * field.spacing, wp.vec3d()
-    fx = ux - wp.float64(ix)
-    fy = uy - wp.float64(iy)
-    fz = uz - wp.float64(iz)
+    fx = place[0] - wp.float64(ix)
+    fy = place[1] - wp.float64(iy)
+    fz = place[2] - wp.float64(iz)
     a0, a1 = column_pair(field.brick_of, field.remaining, row, ix, iy, iz)
     b0, b1 = column_pair(field.brick_of, field.remaining, row, ix, iy + 1, iz)
     c0, c1 = column_pair(field.brick_of, field.remaining, row, ix + 1, iy, iz)
@@ -182,41 +179,3 @@ def voxel_level(field: Field, point: wp.vec3d):
     across = wp.lerp(b - a, d - c, fx)
     along = wp.lerp(wp.lerp(a1 - a0, b1 - b0, fy), wp.lerp(c1 - c0, d1 - d0, fy), fx)
     return (LEVEL - wp.lerp(near, far, fx)) * field.spacing, wp.vec3d(near - far, -across, -along)
-
-
-@wp.kernel
-def field_distance(
-    # points
-    point: Vectors,  # [m]
-    # field
-    field: Field,
-    # out
-    distance_out: Doubles,  # [m]
-    normal_out: Vectors,
-):
-    """Compute the distance [m] from each point to the nearest obstacle, and its outward direction.
-
-    The distance from solids is exact. At points farther than half a voxel from bone, the distance
-    from bone is only a lower bound, and its direction is (0, 0, 0).
-    """
-    i = wp.tid()
-    # 1e30 m: no solid yet
-    least = wp.float64(1.0e30)
-    direction = wp.vec3d()
-    for solid in range(field.kind.shape[0]):
-        distance, toward = solid_distance(field, solid, point[i])
-        if distance < least:
-            least = distance
-            direction = toward
-    if field.spacing > ZERO:
-        distance = voxel_clearance(field, point[i])
-        toward = wp.vec3d()
-        if distance <= ZERO:
-            level, slope = voxel_level(field, point[i])
-            distance = level
-            toward = wp.normalize(slope)
-        if distance < least:
-            least = distance
-            direction = toward
-    distance_out[i] = least
-    normal_out[i] = direction

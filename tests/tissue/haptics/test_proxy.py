@@ -5,6 +5,7 @@ It has three and six degrees of freedom.
 
 import numpy as np
 import pytest
+from field_distances import distances
 from proxy_scenes import BURR, surface_of, wander
 from scipy.spatial.transform import Rotation
 
@@ -45,7 +46,7 @@ def test_never_inside_solids(seed, friction):
     touched = 0
     for position, turn in wander(seed, ticks=1500, low=-8e-3, high=9e-3, start=(0.0, 0.0, 8e-3)):
         result = proxy.advance(position, turn)
-        depth = shell.radius_m - field.distance(surface_of(shell, result))[0].min()
+        depth = shell.radius_m - distances(field, surface_of(shell, result))[0].min()
         assert depth <= SOLID_TOLERANCE_M
         if result.settled and result.contacts:
             assert depth <= 1e-9

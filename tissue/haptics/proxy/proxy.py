@@ -33,7 +33,7 @@ from kernels.proxy import (
 from kernels.proxy_contacts import VOXEL_PLANES, Contacts, Shell
 from kernels.proxy_descent import DescentSettings
 from kernels.proxy_forces import MEMBERS
-from kernels.voxmap import BALL, BOX, CELL, HALF_SPACE, SURFACE, Field, field_distance
+from kernels.voxmap import BALL, BOX, CELL, HALF_SPACE, SURFACE, Field
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.cutters.cutter import Cutter
@@ -133,27 +133,6 @@ class ContactField:
             clearance = _clearance(store.fraction() > 0, self.spacing_m)
             arrays.clearance = wp.array(clearance, dtype=wp.float32, device=self.device)
         self.arrays = arrays
-
-    def distance(self, points_m: Array) -> tuple[Array, Array]:
-        """Return the distances [m] of points to the nearest object, and the outward directions.
-
-        For points of shape (n, 3), the distances have shape (n,) and the directions (n, 3). The
-        distances are exact for solids. For voxels, the distance to the contact surface is accurate
-        to first order within half a voxel of this surface. For points farther away, the distance is
-        a lower bound and the direction is (0, 0, 0).
-        """
-        points = np.ascontiguousarray(points_m, dtype=np.float64)
-        distance = wp.zeros(len(points), dtype=wp.float64, device=self.device)
-        normal = wp.zeros(len(points), dtype=wp.vec3d, device=self.device)
-        at: wp.array[object] = wp.array(points, dtype=wp.vec3d, device=self.device)
-        wp.launch(
-            field_distance,
-            dim=len(points),
-            inputs=[at, self.arrays],
-            outputs=[distance, normal],
-            device=self.device,
-        )
-        return distance.numpy(), normal.numpy()
 
 
 def _solid(solid: Solid) -> tuple[int, Array, Array, Array]:
