@@ -92,16 +92,15 @@ def carve(
     columns = wp.max(high[0] - low[0] + 1, 0) * wp.max(columns_y, 0)
     column = worker
     while column < columns:
-        bx = low[0] + column / columns_y
-        by = low[1] + column % columns_y
+        brick = wp.vec3i(low[0] + column / columns_y, low[1] + column % columns_y, 0)
         column += worker_count
-        before = int(plan[ORIGIN]) + ALONG_X * bx + ALONG_Y * by + low[2]
+        before = int(plan[ORIGIN]) + ALONG_X * brick[0] + ALONG_Y * brick[1] + low[2]
         for visit in range(int(plan[COUNT])):
             # Along z, the distance between two bricks of a group is PHASES bricks.
             group = (int(plan[FIRST]) + visit) & REMAINDER
-            bz = low[2] + ((group - before) & REMAINDER)
-            while bz <= high[2]:
-                row = int(bricks_out.brick_of[bx, by, bz])
+            brick[2] = low[2] + ((group - before) & REMAINDER)
+            while brick[2] <= high[2]:
+                row = int(bricks_out.brick_of[brick[0], brick[1], brick[2]])
                 if row >= 0:
                     carve_brick(
                         tool,
@@ -109,15 +108,13 @@ def carve(
                         plan,
                         axis,
                         group,
-                        bx,
-                        by,
-                        bz,
+                        brick,
                         row,
                         worker,
                         bricks_out,
                         removed_out,
                     )
-                bz += PHASES
+                brick[2] += PHASES
 
 
 @wp.func
@@ -127,9 +124,7 @@ def carve_brick(
     plan: Int64s,
     axis: wp.vec3,
     group: int,
-    bx: int,
-    by: int,
-    bz: int,
+    brick: wp.vec3i,
     row: int,
     worker: int,
     bricks: Bricks,
@@ -142,12 +137,13 @@ def carve_brick(
     alive = bricks.alive[row]
     if alive == wp.uint64(0):
         return
-    centre = offset_from(pose[0, 0], bx * 8 + 4, by * 8 + 4, bz * 8 + 4)
+    middle = 8 * brick + wp.vec3i(4)
+    centre = offset_from(pose[0, 0], middle)
     far = nearest_on(tool, centre, axis)
     if far.distance > BRICK_REACH:
         return
     bricks.touched[row] = bricks.touched[row] | wp.uint8(REACHED)
-    step = offset_from(pose[1 + group, 0], bx * 8 + 4, by * 8 + 4, bz * 8 + 4) - centre
+    step = offset_from(pose[1 + group, 0], middle) - centre
     moved = wp.length(step)
     kink = 1.0 / tool.cells_per_voxel  # near a kink, the slope spans one cell of the table
     # Blocks behind a moving tool have been carved already, so they are skipped to save time. Within
@@ -164,7 +160,7 @@ def carve_brick(
             for block in range(64):
                 book(row, block * 8, 1, 0, bricks)
         return
-    back = centre - offset_from(pose[OLDER_ROW + group, 0], bx * 8 + 4, by * 8 + 4, bz * 8 + 4)
+    back = centre - offset_from(pose[OLDER_ROW + group, 0], middle)
     travel = wp.length(back)
     axis_before = wp.vec3(pose[1 + group, 1])
     before = alive

@@ -145,7 +145,7 @@ def tool_distances(
         z = (cell.z + (block & 1)) >> 1
         slot = ((x & 3) << 4) | ((y & 3) << 2) | (z & 3)
         kept = seen[chunk, slot]
-        middle = offset_from(pose[0], 2 * x + 1, 2 * y + 1, 2 * z + 1)
+        middle = offset_from(pose[0], wp.vec3i(2 * x + 1, 2 * y + 1, 2 * z + 1))
         near = Nearest()
         if kept[0] == float(x) and kept[1] == float(y) and kept[2] == float(z):
             near.distance = kept[3]

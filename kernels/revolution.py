@@ -86,10 +86,10 @@ def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
 
 
 @wp.func
-def offset_from(tip: wp.vec3d, ix: int, iy: int, iz: int):
-    """Return the vector [voxel] from the tool's tip to the lowest corner of voxel (ix, iy, iz).
+def offset_from(tip: wp.vec3d, voxel: wp.vec3i):
+    """Return the vector [voxel] from the tool's tip to the lowest corner of a voxel.
 
-    The lowest corner has the smallest x, y and z. The difference is computed in double
-    precision and returned in single precision.
+    The lowest corner has the smallest x, y and z. The difference is computed in double precision
+    and returned in single precision.
     """
-    return wp.vec3(wp.vec3d(wp.float64(ix), wp.float64(iy), wp.float64(iz)) - tip)
+    return wp.vec3(wp.vec3d(voxel) - tip)

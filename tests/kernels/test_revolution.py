@@ -35,7 +35,7 @@ def subtract(
     offset_out: wp.array(dtype=wp.vec3),
 ):
     i = wp.tid()
-    offset_out[i] = offset_from(pose[1], voxel[i][0], voxel[i][1], voxel[i][2])
+    offset_out[i] = offset_from(pose[1], voxel[i])
 
 
 def test_distance_and_slope_of_a_ball_by_its_table():

@@ -112,10 +112,10 @@ def test_solids_against_signed_distance_shapes():
         (HalfSpace(centre, (1.0, 2.0, -2.0)), sdf.half_space((1.0, 2.0, -2.0), centre), points),
     )
     for solid, shape, local in cases:
-        distance, normal = ContactField(solid).distance(points)
+        distance, normal = distances(ContactField(solid), points)
         assert distance == pytest.approx(shape.distance(local), abs=1e-15)
         step = 1e-7
-        outside = ContactField(solid).distance(points + step * normal)[0]
+        outside = distances(ContactField(solid), points + step * normal)[0]
         assert outside - distance == pytest.approx(np.full(len(points), step), rel=1e-6)
 
 
