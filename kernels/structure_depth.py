@@ -10,7 +10,7 @@ the search is long (`kernels.tool_distance.widened`).
 
 import warp as wp
 
-from kernels.arrays import Doubles2D, Int32s, Vectors
+from kernels.arrays import Int32s, Vectors
 from kernels.constants import HALF, ONE, TWO, ZERO
 from kernels.tool_distance import nearest_on_triangle, widened
 
@@ -23,7 +23,6 @@ The search stack holds the cells that remain to be searched, where a cell is a p
 medial axis. Each halving of a cell adds one row. Thirty halvings reduce both sides of a cell from
 30 mm to about a micrometre.
 """
-CELL_COLUMNS = 6
 DOUBLING = 2000
 """Number of evaluated cells after which the tolerance of a long search doubles.
 
@@ -59,6 +58,18 @@ class MedialAxis:
     ends: Vectors
     across: Int32s  # [segment] 1 if centres outside the structure also count
     slack: wp.float64  # largest distance by which true balls may exceed these balls [m]
+
+
+@wp.struct
+class AxisCell:
+    """Part of a segment of the medial axis, rotated around the tool's axis by a range of angles."""
+
+    first: wp.float64  # ends of the part, as fractions of the segment
+    last: wp.float64
+    angle: wp.float64  # middle of the range [rad]
+    half_angle: wp.float64  # [rad]
+    bound: wp.float64  # lower bound of the distance between the structure and the balls [m]
+    distance: wp.float64  # signed distance of the middle of the cell from the surface [m]
 
 
 @wp.func
@@ -119,12 +130,9 @@ def first_ball_inside(mesh: wp.uint64, motion: Vectors, medial: MedialAxis):
 def cell_bounds(
     mesh: wp.uint64,
     motion: Vectors,
-    start: wp.vec3d,
-    end: wp.vec3d,
-    across: int,
-    angle: wp.float64,
-    half_angle: wp.float64,
-    before: wp.float64,
+    medial: MedialAxis,
+    segment: int,
+    cell: AxisCell,
     moved: wp.float64,
     wanted: wp.float64,
 ):
@@ -133,17 +141,23 @@ def cell_bounds(
     Return a lower bound, an upper bound, and the signed distance of the cell's middle from the
     surface [m].
 
-    `before` is the known signed distance of another point from the surface, and `moved` is the
+    `cell.distance` is the known signed distance of another point from the surface, and `moved` is the
     distance from this point to the middle of the cell. When the lower bound reaches `wanted`, the
     function stops improving the bound.
     """
+    origin = medial.starts[segment]
+    along = medial.ends[segment] - origin
+    start = origin + cell.first * along
+    end = origin + cell.last * along
+    angle = cell.angle
+    half_angle = cell.half_angle
     middle = HALF * (start + end)
     centre = in_structure(motion, middle[0], angle, middle[1])
     apart, foot, face = nearest_on_surface(mesh, centre)
     # The sign takes far more time than the distance. Within a sphere that does not touch the
-    # surface, the sign does not change, so the sign of `before` is used.
-    is_inside = before < ZERO
-    if wp.abs(before) <= moved + NEAR_M:
+    # surface, the sign does not change, so the sign of `cell.distance` is used.
+    is_inside = cell.distance < ZERO
+    if wp.abs(cell.distance) <= moved + NEAR_M:
         is_inside = is_in_structure(mesh, centre)
     signed = wp.where(is_inside, -apart, apart)
 
@@ -163,7 +177,7 @@ def cell_bounds(
         # 1e9 m stands for no bound, here and below.
         upper = wp.float64(1.0e9)
         lower = apart - size - largest
-        if across == 1:
+        if medial.across[segment] == 1:
             upper = apart - middle[2]
         elif apart >= size:
             # No centre lies in the structure. The search over the surface has already covered these
@@ -210,8 +224,7 @@ def over_balls(
     medial: MedialAxis,
     best: wp.float64,
     last_segment: Int32s,
-    # start and end as fractions of the segment, angle, half angle, bound, signed distance
-    cells: Doubles2D,
+    cells: wp.array(dtype=AxisCell),
 ):
     """Compute a lower bound [m] of the smallest signed distance between structure and balls.
 
@@ -224,35 +237,25 @@ def over_balls(
     count = int(0)
     begin = last_segment[0]
     number = medial.starts.shape[0]
-    signed = wp.float64(0.0)
+    whole = AxisCell()
+    whole.last = ONE
+    whole.half_angle = wp.float64(wp.pi)
     last_middle = wp.vec3d()
     for turn in range(number):
         # The search starts at the segment that was deepest in the last tick, which excludes most
         # others.
         root = (begin + turn) % number
-        cells[0, 0] = ZERO
-        cells[0, 1] = ONE
-        cells[0, 2] = ZERO
-        cells[0, 3] = wp.float64(wp.pi)
         start = medial.starts[root]
         along = medial.ends[root] - start
         long = wp.sqrt(along[0] * along[0] + along[1] * along[1])
         middle = start + HALF * along
-        lower, upper, signed = cell_bounds(
-            mesh,
-            motion,
-            start,
-            start + along,
-            medial.across[root],
-            ZERO,
-            wp.float64(wp.pi),
-            signed,
-            wp.length(middle - last_middle),
-            smallest - DEPTH_TOLERANCE_M,
-        )
+        moved = wp.length(middle - last_middle)
+        wanted = smallest - DEPTH_TOLERANCE_M
+        lower, upper, signed = cell_bounds(mesh, motion, medial, root, whole, moved, wanted)
         last_middle = middle
-        cells[0, 4] = lower
-        cells[0, 5] = signed
+        whole.bound = lower
+        whole.distance = signed
+        cells[0] = whole
         count += 1
         if upper < smallest:
             smallest = upper
@@ -260,60 +263,44 @@ def over_balls(
         held = int(1)
         while held > 0:
             held -= 1
-            bound = cells[held, 4]
+            cell = cells[held]
             accepted = smallest - widened(DEPTH_TOLERANCE_M, count, DOUBLING)
-            if bound >= accepted or held + 2 > CELLS:
-                lowest = wp.min(lowest, bound - medial.slack)
+            if cell.bound >= accepted or held + 2 > CELLS:
+                lowest = wp.min(lowest, cell.bound - medial.slack)
                 continue
-            first = cells[held, 0]
-            last = cells[held, 1]
-            angle = cells[held, 2]
-            half_angle = cells[held, 3]
-            radius = wp.max(start[0] + first * along[0], start[0] + last * along[0])
-            centre = cells[held, 5]
+            length = (cell.last - cell.first) * long
+            radius = wp.max(start[0] + cell.first * along[0], start[0] + cell.last * along[0])
+            split = HALF * (cell.first + cell.last)
             # Halve the longer side.
-            split_angle = TWO * radius * half_angle > (last - first) * long
+            split_angle = TWO * radius * cell.half_angle > length
             for half in range(2):
-                row = held + half
-                cells[row, 0] = first
-                cells[row, 1] = last
-                cells[row, 2] = angle
-                cells[row, 3] = half_angle
+                part = cell
                 # Distance between the middles of the cell and of its half, along the segment or
                 # around the axis.
-                moved = wp.float64(0.25) * (last - first) * long
+                moved = wp.float64(0.25) * (cell.last - cell.first) * long
                 if split_angle:
-                    middle_radius = start[0] + HALF * (first + last) * along[0]
-                    moved = TWO * middle_radius * wp.sin(wp.float64(0.25) * half_angle)
-                    cells[row, 3] = HALF * half_angle
-                    cells[row, 2] = angle + wp.where(half == 0, -cells[row, 3], cells[row, 3])
+                    middle_radius = start[0] + split * along[0]
+                    moved = TWO * middle_radius * wp.sin(wp.float64(0.25) * cell.half_angle)
+                    part.half_angle = HALF * cell.half_angle
+                    part.angle = cell.angle + wp.where(half == 0, -part.half_angle, part.half_angle)
+                elif half == 0:
+                    part.last = split
                 else:
-                    share = HALF * (first + last)
-                    cells[row, 0] = wp.where(half == 0, first, share)
-                    cells[row, 1] = wp.where(half == 0, share, last)
-                lower, upper, inner = cell_bounds(
-                    mesh,
-                    motion,
-                    start + cells[row, 0] * along,
-                    start + cells[row, 1] * along,
-                    medial.across[root],
-                    cells[row, 2],
-                    cells[row, 3],
-                    centre,
-                    moved,
-                    smallest - DEPTH_TOLERANCE_M,
-                )
-                cells[row, 5] = inner
-                cells[row, 4] = wp.max(lower, bound)
+                    part.first = split
+                wanted = smallest - DEPTH_TOLERANCE_M
+                lower, upper, signed = cell_bounds(mesh, motion, medial, root, part, moved, wanted)
+                part.bound = wp.max(lower, cell.bound)
+                part.distance = signed
+                cells[held + half] = part
                 if upper < smallest:
                     smallest = upper
                     last_segment[0] = root
             count += 2
-            if cells[held, 4] < cells[held + 1, 4]:
+            first_half = cells[held]
+            second_half = cells[held + 1]
+            if first_half.bound < second_half.bound:
                 # The half with the lower bound is searched first.
-                for column in range(CELL_COLUMNS):
-                    swapped = cells[held, column]
-                    cells[held, column] = cells[held + 1, column]
-                    cells[held + 1, column] = swapped
+                cells[held] = second_half
+                cells[held + 1] = first_half
             held += 2
     return lowest

@@ -11,10 +11,10 @@ interpolation in a grid of distances.
 
 import warp as wp
 
-from kernels.arrays import Doubles, Doubles2D, Int32s, Singles, Singles3D, Vectors, Vectors2D
+from kernels.arrays import Doubles, Int32s, Singles, Singles3D, Vectors, Vectors2D
 from kernels.constants import HALF, ZERO
 from kernels.elements import CHUNK, Elements
-from kernels.structure_depth import MedialAxis, first_ball_inside, over_balls
+from kernels.structure_depth import AxisCell, MedialAxis, first_ball_inside, over_balls
 from kernels.tool_distance import TOLERANCE_M, Outline, bounds_over, distance_to_part, widened
 
 NODES, TRIANGLES = 256, 256
@@ -208,7 +208,7 @@ def distance_to_structure(
     stack_out: Vectors2D,
     bounds_out: Doubles,
     last_segment_out: Int32s,
-    cells_out: Doubles2D,
+    cells_out: wp.array(dtype=AxisCell),
     first_thread: int,
     # out
     distance_out: Doubles,  # [m], negative where tool and structure overlap

@@ -13,7 +13,7 @@ import warp as wp
 
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror, filled, put
-from kernels.structure_depth import CELL_COLUMNS, CELLS, MedialAxis
+from kernels.structure_depth import CELLS, AxisCell, MedialAxis
 from kernels.structure_distance import NODES, TRIANGLES, Tree, distance_to_structure
 from kernels.tool_distance import TOLERANCE_M, Outline
 from meshes.base.arrays import Array, Floats, Ints
@@ -289,7 +289,7 @@ class _Search:
                 wp.zeros((TRIANGLES, 3), wp.vec3d, DEVICE),
                 wp.zeros(TRIANGLES, wp.float64, DEVICE),
                 wp.zeros(1, wp.int32, DEVICE),
-                wp.zeros((CELLS, CELL_COLUMNS), wp.float64, DEVICE),
+                wp.zeros(CELLS, AxisCell, DEVICE),
             ],
             [self._distance.device],
             device=DEVICE,
