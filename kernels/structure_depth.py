@@ -141,9 +141,9 @@ def cell_bounds(
     Return a lower bound, an upper bound, and the signed distance of the cell's middle from the
     surface [m].
 
-    `cell.distance` is the known signed distance of another point from the surface, and `moved` is the
-    distance from this point to the middle of the cell. When the lower bound reaches `wanted`, the
-    function stops improving the bound.
+    `cell.distance` is the known signed distance of another point from the surface, and `moved` is
+    the distance from this point to the middle of the cell. When the lower bound reaches `wanted`,
+    the function stops improving the bound.
     """
     origin = medial.starts[segment]
     along = medial.ends[segment] - origin
