@@ -257,7 +257,8 @@ class BrickStore:
     @property
     def on_device(self) -> Any:
         """Present device arrays of the store, for kernels."""
-        return filled(Bricks, self._device, **{name: getattr(self, name) for name in Bricks.vars})
+        arrays = {name: getattr(self, name) for name in Bricks.__annotations__}
+        return filled(Bricks, self._device, **arrays)
 
     def take_touched(self) -> tuple[Ints, NDArray[np.uint16]]:
         """Return row numbers and fractions of the bricks that lost material since the last call.

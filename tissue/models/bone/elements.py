@@ -166,7 +166,7 @@ class CuttingForces:
         groups = len(elements.lanes)
         self.found = wp.zeros((groups, FOUND, LANES), wp.float32, device)
         # the same memory, as rows of eight elements
-        rows = wp.array(ptr=self.found.ptr, dtype=lanes8, shape=(groups, FOUND), device=device)
+        rows: Any = wp.array(ptr=self.found.ptr, dtype=lanes8, shape=(groups, FOUND), device=device)
         self._engaged = Mirror(self._chunks, wp.float64, device)
         # The value 1 makes the first search write the widths of all elements.
         self._engaged.device.fill_(1)
