@@ -74,6 +74,20 @@ class Loads:
     axial: lanes8
 
 
+@wp.struct
+class Rates:
+    """Rows of the array ``motion`` of `cutting_forces`, in single precision."""
+
+    velocity: wp.vec3
+    turning: wp.vec3
+    velocity_before: wp.vec3
+    turning_before: wp.vec3
+    unknowns: int
+    tick: float
+    speed: float
+    least: float  # advance above which an element cuts
+
+
 @wp.kernel
 def cutting_forces(
     elements: Elements,
@@ -101,17 +115,15 @@ def cutting_forces(
     chunk = wp.tid() + chunk_offset
     if engaged[chunk] == ZERO:
         return
-    unknowns = int(motion[4][0])
-    rows = AREA + coefficients.size.shape[0] + 6 * unknowns
+    rates = rates_of(motion)
+    rows = AREA + coefficients.size.shape[0] + 6 * rates.unknowns
     for m in range(rows):
         lanes_out[chunk, m] = lanes8()
     first = chunk * (CHUNK // LANES)
     last = wp.min(first + CHUNK // LANES, elements.lanes.shape[0])
     for eight in range(first, last):
         if wp.max(found[eight, WIDTH]) > 0.0:
-            add_eight(
-                elements, coefficients, found, motion, chip_per_speed, eight, chunk, lanes_out
-            )
+            add_eight(elements, coefficients, found, rates, chip_per_speed, eight, chunk, lanes_out)
     for m in range(rows):
         total = wp.float64(0.0)
         for lane in range(LANES):
@@ -120,22 +132,36 @@ def cutting_forces(
 
 
 @wp.func
+def rates_of(motion: Vectors):
+    """Convert the rows of the array ``motion`` of `cutting_forces`."""
+    rates = Rates()
+    rates.velocity = wp.vec3(motion[0])
+    rates.turning = wp.vec3(motion[1])
+    rates.velocity_before = wp.vec3(motion[2])
+    rates.turning_before = wp.vec3(motion[3])
+    rates.unknowns = int(motion[4][0])
+    rates.tick = float(motion[4][1])
+    rates.speed = float(motion[4][2])
+    # If the speed is the unknown, only elements whose advance is larger than its rounding error
+    # cut. If the velocity is the unknown, there is no such limit, because the force must not jump.
+    if rates.unknowns == 1:
+        rates.least = LEAST_ADVANCE * wp.length(rates.velocity)
+    return rates
+
+
+@wp.func
 def add_eight(
     elements: Elements,
     coefficients: Coefficients,
     found: Lanes2D,
-    motion: Vectors,
+    rates: Rates,
     chip_per_speed: float,
     eight: int,
     chunk: int,
     sums_out: Lanes2D,
 ):
     """Add loads, removal rate and areas of eight cutting elements to the sums of their chunk."""
-    velocity = wp.vec3(motion[0])
-    turning = wp.vec3(motion[1])
-    unknowns = int(motion[4][0])
-    tick = float(motion[4][1])
-    speed = float(motion[4][2])
+    unknowns = rates.unknowns
     width = found[eight, WIDTH]
     point = vectors_in(elements.lanes, eight, 0)
     normal = vectors_in(elements.lanes, eight, 3)
@@ -143,23 +169,20 @@ def add_eight(
     # derivatives of advance and shift by the angular velocity
     advance_by_turn = crosses(point, normal)
     shift_by_turn = crosses(point, slope)
-    turn_advance = along(turning, advance_by_turn)
-    turn_shift = along(turning, shift_by_turn)
-    advance = along(velocity, normal) + turn_advance
-    passing = along(velocity, slope) + turn_shift
-    before = along(wp.vec3(motion[2]), slope) + along(wp.vec3(motion[3]), shift_by_turn)
-    # If the speed is the unknown, only elements whose advance is larger than its rounding error
-    # cut. If the velocity is the unknown, there is no such limit, because the force must not jump.
-    least = wp.where(unknowns == 1, LEAST_ADVANCE * wp.length(velocity), 0.0)
-    cuts = wp.cw_mul(above(advance - least * lanes8(1.0)), above(width - lanes8(TINY)))
-    distance = found[eight, DISTANCE] - tick * before
-    share, partly, by_shift = share_below(distance, width, tick, passing, cuts)
-    made = speed * advance
+    turn_advance = along(rates.turning, advance_by_turn)
+    turn_shift = along(rates.turning, shift_by_turn)
+    advance = along(rates.velocity, normal) + turn_advance
+    passing = along(rates.velocity, slope) + turn_shift
+    before = along(rates.velocity_before, slope) + along(rates.turning_before, shift_by_turn)
+    cuts = wp.cw_mul(above(advance - rates.least * lanes8(1.0)), above(width - lanes8(TINY)))
+    distance = found[eight, DISTANCE] - rates.tick * before
+    share, partly, by_shift = share_below(distance, width, rates.tick, passing, cuts)
+    made = rates.speed * advance
     chip, chip_slope, edge, edge_slope = chip_law(coefficients, found, eight, chip_per_speed, made)
     # The value at zero velocity is the force minus the contribution of the unknowns.
     made_shift = passing
     if unknowns == 3:
-        made = made - speed * turn_advance
+        made = made - rates.speed * turn_advance
         made_shift = made_shift - turn_shift
     chip_by_shift = wp.cw_mul(by_shift, chip)
     edge_by_shift = wp.cw_mul(by_shift, edge)
@@ -309,12 +332,14 @@ def add_wrench(
     tangential = wp.cw_mul(loads.tangential, factor)
     radial = wp.cw_mul(loads.radial, factor)
     axial = wp.cw_mul(loads.axial, factor)
-    for k in range(first, last):
-        sums_out[chunk, place + k] -= (
-            wp.cw_mul(tangential, elements.lever[eight, k])
-            + wp.cw_mul(radial, elements.lever[eight, 6 + k])
-            + wp.cw_mul(axial, elements.lever[eight, 12 + k])
-        )
+    # An unrolled loop takes 5 % less time than a loop from ``first`` to ``last``.
+    for k in range(6):
+        if k >= first and k < last:
+            sums_out[chunk, place + k] -= (
+                wp.cw_mul(tangential, elements.lever[eight, k])
+                + wp.cw_mul(radial, elements.lever[eight, 6 + k])
+                + wp.cw_mul(axial, elements.lever[eight, 12 + k])
+            )
 
 
 @wp.func
