@@ -148,9 +148,9 @@ def test_a_press_is_what_the_scene_runner_gives(monkeypatch):
             "of the largest force"
         )
         assert error < allowed
-    assert [what.split(":")[0] for _, what in run.events] == ["pressed 3.7 mm deep"]
+    assert [what.split(":")[0] for _, what in run.events] == ["pressed 3.3 mm deep"]
     assert (
-        "from 3.7 mm on the linear law differs from a hyperelastic force by more than 5%"
+        "from 3.3 mm on the linear law differs from a hyperelastic force by more than 5%"
         in press.notes["linear"]
     )
 

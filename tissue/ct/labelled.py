@@ -49,7 +49,7 @@ FEED_MM_S = 5.0
 
 `BALL_MM` is the diameter of the ball, and `DEPTH_MM` is the depth of the press. The depth is 0.67
 times the radius of the ball. At this depth, the force of the linear model has an error of more than
-10 % (`tissue.models.organ.model.LINEAR_ERROR`), and the run reports this error. At a depth of 2.2
+10 % (`tissue.models.organ.model.LINEAR_ERROR`), and the run reports this error. At a depth of 2.0
 mm the error is 5 %.
 """
 

@@ -66,12 +66,13 @@ def _inside(profile: Profile, spacing: float) -> Array:
     return grid[profile.distance(half)[0] < -0.5 * pitch]
 
 
-@dataclass(frozen=True, eq=False)
-class OutlineTable:
-    """Half sections of the parts of a tool as arrays, for `kernels.tool_distance.Outline`.
+def outline_table(profile: Profile) -> dict[str, Array | Ints]:
+    """Split a tool with `convex_parts`, and return the members of `kernels.tool_distance.Outline`.
 
-    Attributes
-    ----------
+    A guide peg and its cutter are separate parts.
+
+    Returns
+    -------
     kind
         0 for a line, 1 for an arc, shape (pieces,).
     shape
@@ -83,33 +84,18 @@ class OutlineTable:
     convex
         1 if a part is convex, shape (parts,).
     """
-
-    kind: Int32s
-    shape: Array
-    first: Int32s
-    convex: Int32s
-
-
-def outline_table(profile: Profile) -> OutlineTable:
-    """Split a tool with `convex_parts`, and return the outlines of its parts as arrays.
-
-    A guide peg and its cutter are separate parts.
-    """
     parts = convex_parts(profile)
-    rows = [_row(piece) for part in parts for piece in part]
-    first = np.cumsum([0, *map(len, parts)])
-    convex = [_is_convex(part) for part in parts]
-    kinds = [isinstance(piece, Arc) for part in parts for piece in part]
-    return OutlineTable(
-        np.array(kinds, np.int32),
-        np.array(rows),
-        first.astype(np.int32),
-        np.array(convex, np.int32),
-    )
+    pieces = [piece for part in parts for piece in part]
+    return {
+        "kind": np.array([isinstance(piece, Arc) for piece in pieces], np.int64),
+        "shape": np.array([_row(piece) for piece in pieces]),
+        "first": np.cumsum([0, *map(len, parts)]),
+        "convex": np.array([_is_convex(part) for part in parts], np.int64),
+    }
 
 
 def _row(piece: Piece) -> list[float]:
-    """Return one piece as a row of `OutlineTable.shape`."""
+    """Return one piece as a row of `shape`, see `outline_table`."""
     if isinstance(piece, Arc):
         half = 0.5 * (piece.last - piece.first)
         angles = np.array([piece.first + half, piece.first, piece.last])

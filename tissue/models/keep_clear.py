@@ -13,11 +13,11 @@ import warp as wp
 
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror, filled, put
-from kernels.structure_depth import CELL_COLUMNS, CELLS, MedialAxis
+from kernels.structure_depth import CELLS, AxisCell, MedialAxis
 from kernels.structure_distance import NODES, TRIANGLES, Tree, distance_to_structure
 from kernels.tool_distance import TOLERANCE_M, Outline
 from meshes.base.arrays import Array, Floats, Ints
-from meshes.surfaces.box_tree import BoxTree, box_tree, cut_long
+from meshes.surfaces.box_tree import box_tree, cut_long
 from tissue.cutters.body import MEDIAL_TOLERANCE_M, medial_axis, outline_table
 from tissue.cutters.profile import Profile
 from tissue.models.state import State, copied, put_back
@@ -136,8 +136,16 @@ class KeepClear:
         self._breaches = [_Breach(name) for name in structures]
         self._tick = 0
         self._follows = True
-        outline = filled(Outline, DEVICE, **vars(outline_table(profile)))
-        medial = _medial(profile)
+        outline = filled(Outline, DEVICE, **outline_table(profile))
+        axis = medial_axis(profile)
+        medial = filled(
+            MedialAxis,
+            DEVICE,
+            starts=axis.starts_m,
+            ends=axis.ends_m,
+            across=axis.across,
+            slack=MEDIAL_TOLERANCE_M,
+        )
         self._structures = [_Search(outline, medial, each, box_m) for each in structures.values()]
 
     def measure(self, tool: ToolMotion, *, placed: bool = False) -> None:
@@ -248,10 +256,18 @@ class _Search:
         # Eigenvectors may form a reflection, which would turn the triangles inside out.
         self._turn[:, 0] *= np.sign(np.linalg.det(self._turn))
         corners = cut_long(vertices[structure.faces], box_m)
-        tree = box_tree((corners - self._origin) @ self._turn)
+        boxes = box_tree((corners - self._origin) @ self._turn)
+        tree = filled(
+            Tree,
+            DEVICE,
+            centre=boxes.centres_m,
+            half=boxes.halves_m,
+            corners=boxes.corners_m,
+            first_leaf=boxes.first_leaf,
+        )
         vertices = (vertices - self._origin) @ self._turn
         self._slack_m = structure.slack_m
-        self._motion = Mirror((4, 3), wp.float64, DEVICE)
+        self._motion = Mirror(4, wp.vec3d, DEVICE)
         self._distance = Mirror(1, wp.float64, DEVICE)
         self._mesh = wp.Mesh(
             points=put(vertices, wp.vec3, DEVICE),
@@ -262,22 +278,20 @@ class _Search:
             distance_to_structure,
             1,
             [
-                0,
                 outline,
-                _tree(tree),
+                tree,
                 self._mesh.id,
                 self._motion.device,
                 medial,
-                np.array([tree.first_leaf]),
+                np.array([boxes.first_leaf]),
                 wp.zeros(NODES, wp.int32, DEVICE),
                 wp.zeros(NODES, wp.float64, DEVICE),
                 wp.zeros((TRIANGLES, 3), wp.vec3d, DEVICE),
                 wp.zeros(TRIANGLES, wp.float64, DEVICE),
                 wp.zeros(1, wp.int32, DEVICE),
-                wp.zeros((CELLS, CELL_COLUMNS), wp.float64, DEVICE),
+                wp.zeros(CELLS, AxisCell, DEVICE),
             ],
             [self._distance.device],
-            offset_index=0,
             device=DEVICE,
             # The search runs in one thread, so dim is 1.
             cores=1,
@@ -290,28 +304,3 @@ class _Search:
         np.dot(tool.rotation.T, self._turn, out=motion[1:4])
         self._launch()
         return float(self._distance.host[0]) - self._slack_m
-
-
-def _medial(profile: Profile) -> Any:
-    """Return the tool's medial axis in the format of the kernel."""
-    axis = medial_axis(profile)
-    return filled(
-        MedialAxis,
-        DEVICE,
-        starts=axis.starts_m,
-        ends=axis.ends_m,
-        across=axis.across,
-        slack=MEDIAL_TOLERANCE_M,
-    )
-
-
-def _tree(made: BoxTree) -> Any:
-    """Return a tree of bounding boxes in the format of the kernel."""
-    return filled(
-        Tree,
-        DEVICE,
-        centre=made.centres_m,
-        half=made.halves_m,
-        corners=made.corners_m,
-        first_leaf=made.first_leaf,
-    )
