@@ -199,13 +199,14 @@ def cell_bounds(
     reach = OUTSIDE_SIZES * size + wp.max(signed, ZERO)
     outside = foot + reach * normal
     clear, _foot, _face = nearest_on_surface(mesh, outside)
-    if is_in_structure(mesh, outside):
-        clear = -clear
     from_outside = wp.float64(1.0e9)
     for k in range(HULL):
         corner, radius = hull_corner(motion, start, end, angle, half_angle, k)
         from_outside = wp.min(from_outside, clear - wp.length(corner - outside) - radius)
-    return wp.max(lower, from_outside), upper, signed
+    # The sign takes far more time than the distance, and a point inside gives a lower bound.
+    if from_outside > lower and not is_in_structure(mesh, outside):
+        lower = from_outside
+    return lower, upper, signed
 
 
 @wp.func

@@ -84,14 +84,13 @@ def keep_clear(
         distances[name] = partial(triangle_distance, vertices, surface.faces)
         if surface.report.repairs:
             notes[f"surface of {name}"] = " ".join(surface.report.repairs)
-    for name, structure in found.items():
-        apart_mm = 1e3 * (structure.slack_m + APART_M)
-        overlap_mm = 1e3 * (structure.slack_m + OVERLAP_M)
-        notes[f"keep clear of {name}"] = (
-            f"the distance in the trace is never too large. It is too small by at most "
-            f"{apart_mm:.2g} mm, and in a breach by at most {overlap_mm:.2g} mm. Both errors are "
-            "larger if tens of thousands of triangles are equally near"
-        )
+    slack_m = max(structure.slack_m for structure in found.values())
+    notes["keep clear"] = (
+        "no distance in the trace is too large. A distance is too small by at most "
+        f"{1e3 * (slack_m + APART_M):.2g} mm, and in a breach by at most "
+        f"{1e3 * (slack_m + OVERLAP_M):.2g} mm. Both errors are larger if tens of thousands of "
+        "triangles are equally near"
+    )
     return KeepClear(
         cutter.profile,
         found,
