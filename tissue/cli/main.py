@@ -197,14 +197,14 @@ def main() -> NoReturn:
 
 @contextmanager
 def _plain_warnings() -> Iterator[None]:
-    """Show warnings about plugins in installed packages as one line, without the code location."""
+    """Show warnings of this program as one line, without the code location."""
     with warnings.catch_warnings():
         others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
             """Print a warning of this program; pass other warnings to the interpreter."""
             # compared by name, since help does not import their modules
-            if category.__name__ not in ("PluginWarning", "OldSceneWarning"):
+            if category.__name__ not in ("PluginWarning", "OldSceneWarning", "BreachWarning"):
                 return others(message, category, *where, **more)
             from rich.markup import escape
 

@@ -90,8 +90,6 @@ class KeepClear:
     distances
         Dictionary that maps the name of a structure to a function. The function returns the signed
         distance of points from the structure, and is used only for pictures.
-    points_m
-        Points of the tool's body in the tool's frame [m], shape (n, 3), used only for pictures.
     box_m
         Lowest and highest corner of the box that the tool can reach [m], shape (2, 3); None if the
         box is not known.
@@ -102,8 +100,8 @@ class KeepClear:
 
     Attributes
     ----------
-    points_m, distances
-        Values of the parameters with these names.
+    distances
+        Value of the parameter `distances`.
     names
         Names of the trace columns: ``distance_NAME_mm`` for the structure with the name NAME.
     measures
@@ -121,14 +119,12 @@ class KeepClear:
         structures: Mapping[str, Structure],
         distances: Mapping[str, Distance] | None = None,
         *,
-        points_m: Array | None = None,
         box_m: Array | None = None,
         times_s: Array | None = None,
         margin_m: float = 0.0,
     ) -> None:
         self._times_s = times_s
         self._margin_m = margin_m
-        self.points_m = np.zeros((1, 3)) if points_m is None else points_m
         self.distances = dict(distances or {})
         self.names = tuple(f"distance_{name}_mm" for name in structures)
         self.measures = np.zeros(len(structures))
@@ -152,6 +148,14 @@ class KeepClear:
             if self._follows and not placed:
                 self._follow(self._breaches[number], distance_m)
         self._tick += 0 if placed else 1
+
+    def overlaps(self) -> list[str]:
+        """Return a text with the depth in the last tick for each structure that the tool is in."""
+        return [
+            f"{-distance_mm:.2f} mm inside {breach.name}"
+            for breach, distance_mm in zip(self._breaches, self.measures, strict=True)
+            if distance_mm < 0.0
+        ]
 
     def state(self) -> State:
         """Return a copy of the state on which later ticks depend."""

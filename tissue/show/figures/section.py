@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array, Bytes, Floats
 from meshes.voxels.volume import FULL
+from tissue.cutters.body import medial_axis
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.show.figures.figure import (
     EDGE,
@@ -39,12 +40,23 @@ REMOVED_TINT = 0.28
 PATH = "#CC79A7"
 """Colour of the path of the tip."""
 TOOL: dict[str, Any] = {"color": "0.1", "linewidth": 1.0, "linestyle": (0, (3, 1.5))}
+NEAREST: dict[str, Any] = {"color": "black", "marker": "o", "markersize": 3.0}
+"""Look of the line between the nearest points of tool and structure."""
 LAYERS_APART_MM = 1e4
 """Artificial distance [mm] between layers, so that the nearest cell is in the same layer."""
 DECADES = 3.0
 """Largest span of a logarithmic colour scale [decades].
 
 With more decades, the colours of neighbouring values could not be distinguished.
+"""
+
+
+ALONG, AROUND, FINE = 3, 48, 40
+"""Numbers of balls in the search for the ball of a tool that is nearest to a structure.
+
+`ALONG` balls lie along each segment of the tool's medial axis, and `AROUND` balls around its axis.
+In the second search, `FINE` balls lie in both directions. The length of the drawn line then
+deviates by 0.02 mm for reamers of 30 mm.
 """
 
 
@@ -102,7 +114,10 @@ class Closest:
     row
         Row of the trace with the smallest distance.
     points_mm
-        Nearest points of the tool and of the structure [mm], shape (2, 3).
+        Nearest points of the tool and of the structure [mm], shape (2, 3). In an overlap, the
+        deepest point of the tool, and the point of the structure's surface that is nearest to it
+        in the direction of the depth. The length of the line between the two points is the
+        magnitude of the distance.
     """
 
     name: str
@@ -123,20 +138,47 @@ def closest(run: Run) -> Closest | None:
     # the trace may have smaller distances after the tool left the simulated region
     apart = np.abs(run.trace[f"distance_{name}_mm"] - distances_mm[name])
     row = int(apart.argmin())
-    turn = Rotation.from_quat(run.trace.quaternions()[row])
-    body_mm = turn.apply(1e3 * clear.points_m) + run.trace.vectors("tool", "mm")[row]
+    pose = Rotation.from_quat(run.trace.quaternions()[row]), run.trace.vectors("tool", "mm")[row]
 
     def distance_mm(points_mm: Array) -> Floats:
         return 1e3 * np.asarray(clear.distances[name](1e-3 * points_mm))
 
-    apart_mm = distance_mm(body_mm)
-    nearest = int(apart_mm.argmin())
-    of_tool = body_mm[nearest]
+    # The tool is the union of the balls on its medial axis. The distance from the structure is the
+    # smallest distance of these balls, whether tool and structure overlap or not.
+    axis = medial_axis(run.cutter.profile)
+    shares = np.linspace(0.0, 1.0, ALONG)
+    turns = np.linspace(-np.pi, np.pi, AROUND, endpoint=False)
+    middles, radii = _balls_mm(axis.starts_m, axis.ends_m, shares, turns, pose)
+    best = int((distance_mm(middles) - radii).argmin())
+    segment = slice(best // (ALONG * AROUND), best // (ALONG * AROUND) + 1)
+    # A second, finer search near the nearest ball of the first search.
+    turns = turns[best % AROUND] + np.linspace(-1.0, 1.0, FINE) * (2.0 * np.pi / AROUND)
+    shares = np.linspace(0.0, 1.0, FINE)
+    middles, radii = _balls_mm(axis.starts_m[segment], axis.ends_m[segment], shares, turns, pose)
+    apart_mm = distance_mm(middles)
+    best = int((apart_mm - radii).argmin())
+    middle = middles[best]
     # 0.01 mm: a step far above the rounding of the distance and far below the size of a structure
     steps = 0.01 * np.eye(3)
-    slope = distance_mm(of_tool + steps) - distance_mm(of_tool - steps)
+    slope = distance_mm(middle + steps) - distance_mm(middle - steps)
     away = slope / max(float(np.linalg.norm(slope)), 1e-12)
-    return Closest(name, row, np.stack([of_tool, of_tool - apart_mm[nearest] * away]))
+    ends = middle - np.array([[radii[best]], [apart_mm[best]]]) * away
+    return Closest(name, row, ends)
+
+
+def _balls_mm(
+    starts_m: Array, ends_m: Array, shares: Array, turns: Array, pose: tuple[Rotation, Array]
+) -> tuple[Array, Array]:
+    """Return centres, shape (n, 3), and radii of balls on segments of a tool's medial axis [mm].
+
+    The balls lie at the given shares of each segment and at the given angles around the axis.
+    """
+    balls = 1e3 * (starts_m[:, None] + shares[:, None] * (ends_m - starts_m)[:, None])
+    radius, height, size = np.repeat(balls.reshape(-1, 3), len(turns), axis=0).T
+    angles = np.tile(turns, balls.shape[0] * balls.shape[1])
+    centres = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), height])
+    rotation, tip_mm = pose
+    return rotation.apply(centres) + tip_mm, size
 
 
 def plane_of(run: Run, row: int) -> tuple[tuple[int, int, int], float]:
@@ -276,7 +318,7 @@ def draw_section(run: Run, path: Path) -> None:
         row = near.row
         frame = None if series is None else nearest_frame(series, run.trace["time_s"][row])
         section = section_of(run, row, near.points_mm[1])
-    window = shown_mm(run, section)
+    window = shown_mm(run, section, near)
     u0, u1, v0, v1 = window
     shape = (v1 - v0) / (u1 - u0)
     # inches: two panels and a colour bar, or one panel of at most 5.2 in both directions
@@ -292,11 +334,9 @@ def draw_section(run: Run, path: Path) -> None:
         sharey=True,
     )
     _draw_layers(panels[0], run, section)
-    structures = draw_kept_clear(panels[0], run, window, section)
+    structures = draw_kept_clear(panels[0], run, window, section, near)
     if near is not None:
-        panels[0].plot(
-            *section.project(near.points_mm).T, color="black", marker="o", markersize=3.0
-        )
+        panels[0].plot(*section.project(near.points_mm).T, **NEAREST)
     panels[0].set_ylabel(f"{y} / mm")
     panels[0].set_title("layers and removed tissue")
     handles = _handles(run, section)
@@ -426,6 +466,8 @@ def _handles(run: Run, section: Section) -> "list[Artist]":
     seen = np.unique(section.layer[section.start >= HALF / FULL])
     removed = np.unique(section.layer[_removed(section) >= HALF / FULL])
     colours = layer_colours(names)
+    tips_mm = run.trace.vectors("tool", "mm")[: section.row + 1]
+    path = Line2D([], [], color=PATH, linewidth=1.0, label="path of its tip (projected)")
     return [
         *(Patch(facecolor=colours[names[i]], label=names[i], **EDGE) for i in seen),
         *(
@@ -438,16 +480,16 @@ def _handles(run: Run, section: Section) -> "list[Artist]":
             for i in removed
         ),
         Line2D([], [], label="tool", **TOOL),
-        Line2D([], [], color=PATH, linewidth=1.0, label="path of its tip (projected)"),
+        *([path] if np.ptp(tips_mm, axis=0).max() > 0.0 else []),
     ]
 
 
 STRUCTURES = ("#D55E00", "#0072B2", "#009E73", "#000000")
 """Colours of protected structures, after Okabe and Ito (2008)."""
 AROUND_MM = 3.0
-"""Margin [mm] around the tissue in pictures with protected structures.
+"""Margin [mm] around the tissue and the nearest points in pictures with protected structures.
 
-The largest distance between tool and structure is added to this margin.
+The largest distance between tool and structure is added to the margin around the tissue.
 """
 ACROSS = 200
 """Number of points along each side of a section at which distances are computed."""
@@ -465,11 +507,14 @@ def distances_to_structures(run: Run) -> dict[str, float]:
     return {name: each for name, each in distances.items() if each is not None}
 
 
-def shown_mm(run: Run, section: Section) -> tuple[float, float, float, float]:
+def shown_mm(
+    run: Run, section: Section, near: Closest | None = None
+) -> tuple[float, float, float, float]:
     """Return the drawn extent of a section, (u0, u1, v0, v1) [mm].
 
     Without protected structures, the whole section is drawn. Otherwise, the extent is that of the
-    tissue plus a margin in which structures near the tool are visible.
+    tissue plus a margin in which structures near the tool are visible. It contains the nearest
+    points.
     """
     tissue = np.argwhere(section.start > 0.0)
     distances_mm = distances_to_structures(run).values()
@@ -481,33 +526,54 @@ def shown_mm(run: Run, section: Section) -> tuple[float, float, float, float]:
     around = AROUND_MM + np.clip(max(distances_mm), 0.0, size.max())
     low = (u0, v0) + edge * tissue.min(axis=0) - around
     high = (u0, v0) + edge * (tissue.max(axis=0) + 1) + around
+    if near is not None:
+        ends = section.project(near.points_mm)
+        low = np.minimum(low, ends.min(axis=0) - AROUND_MM)
+        high = np.maximum(high, ends.max(axis=0) + AROUND_MM)
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
 def draw_kept_clear(
-    axes: "Axes", run: Run, window: tuple[float, float, float, float], section: Section
+    axes: "Axes",
+    run: Run,
+    window: tuple[float, float, float, float],
+    section: Section,
+    near: Closest | None,
 ) -> "list[Artist]":
-    """Draw protected structures in a section; return legend entries with smallest distances."""
+    """Draw protected structures in a section.
+
+    Return legend entries with the distances at the shown time and the smallest distance.
+    """
+    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     clear = run.parts.keep_clear
-    if clear is None:
+    if clear is None or near is None:
         return []
     u, v = (np.linspace(window[k], window[k + 1], ACROSS) for k in (0, 2))
     points_m = 1e-3 * section.points_mm(u, v).reshape(-1, 3)
     end = run.parts.region_end
     until = "" if end is None or end.left_s is None else f",\nup to {end.left_s:.3f} s"
-    handles: list[Artist] = []
-    for (name, least_mm), colour in zip(
-        distances_to_structures(run).items(), cycle(STRUCTURES), strict=False
-    ):
+    distances_mm = distances_to_structures(run)
+    least_mm = distances_mm[near.name]
+    line = f"smallest distance of the tool,\n{least_mm:.2f} mm away from {near.name}{until}"
+    if least_mm < 0.0:
+        # the line of a depth need not lie in a plane with the axis
+        line = f"largest depth of the tool (projected),\n{-least_mm:.2f} mm inside {near.name}{until}"
+    handles: list[Artist] = [Line2D([], [], label=line, **NEAREST)]
+    for name, colour in zip(distances_mm, cycle(STRUCTURES), strict=False):
         depth = np.asarray(clear.distances[name](points_m)).reshape(ACROSS, ACROSS).T
         # the section does not meet the structure otherwise, and contour() would warn
         if depth.min() < 0.0 < depth.max():
             axes.contourf(u, v, depth, [float(depth.min()), 0.0], colors=[colour], alpha=0.15)
             axes.contour(u, v, depth, [0.0], colors=[colour], linewidths=[1.6])
-        side = "away" if least_mm >= 0.0 else "inside"
-        # a single line would be wider than the picture
-        label = f"{name}: smallest distance\nof the tool, {abs(least_mm):.2f} mm {side}{until}"
+        label = name
+        if name != near.name:
+            now_mm = float(run.trace[f"distance_{name}_mm"][section.row])
+            where = f"{now_mm:.2f} mm away from the tool"
+            if now_mm < 0.0:
+                where = f"tool {-now_mm:.2f} mm inside"
+            # a single line would be wider than the picture
+            label = f"{name}, at this time\n{where}"
         handles.append(Patch(facecolor=colour, alpha=0.4, label=label))
     return handles

@@ -31,7 +31,7 @@ MARGIN_M = 10e-3
 POINTS_ACROSS = 12.0
 """Tool radius divided by the distance between points on the tool's surface.
 
-Pictures use these points. The value was chosen by judgement.
+These points determine the box that the tool can reach. The value was chosen by judgement.
 """
 
 
@@ -95,7 +95,6 @@ def keep_clear(
         cutter.profile,
         found,
         distances,
-        points_m=points,
         box_m=np.array([low, high]),
         margin_m=1e-3 * wanted.margin_mm,
     )
