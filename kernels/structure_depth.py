@@ -4,7 +4,7 @@ The tool is the union of its largest inscribed balls. If the centre of a ball li
 the depth of the ball is its radius plus the depth of its centre. The centres of all balls form the
 tool's medial axis, which is divided into cells. A cell is a part of a segment of the medial axis in
 the tool's half section, rotated around the tool's axis by a range of angles. A branch-and-bound
-search over the cells finds the deepest ball, with an error of at most `DEPTH_TOLERANCE_M`, unless
+search over the cells finds the deepest ball, with an error of at most `MedialAxis.tolerance`, unless
 the search is long (`kernels.tool_distance.widened`).
 """
 
@@ -16,8 +16,6 @@ from kernels.tool_distance import nearest_on_triangle, widened
 
 wp.set_module_options({"enable_backward": False})
 
-DEPTH_TOLERANCE_M = wp.constant(wp.float64(3.0e-6))
-"""Largest accepted difference [m] between the smallest signed distance and its lower bound."""
 CELLS = wp.constant(128)
 """Number of rows of the search stack.
 
@@ -61,6 +59,8 @@ class MedialAxis:
     ends: Vectors
     across: Int32s  # [segment] 1 if centres outside the structure also count
     slack: wp.float64  # largest distance by which true balls may exceed these balls [m]
+    # largest accepted difference between the smallest signed distance and its lower bound [m]
+    tolerance: wp.float64
 
 
 @wp.func
@@ -254,7 +254,7 @@ def over_balls(
             wp.float64(wp.pi),
             signed,
             wp.length(middle - last_middle),
-            smallest - DEPTH_TOLERANCE_M,
+            smallest - medial.tolerance,
         )
         last_middle = middle
         cells[0, 4] = lower
@@ -267,7 +267,7 @@ def over_balls(
         while held > 0:
             held -= 1
             bound = cells[held, 4]
-            accepted = smallest - widened(DEPTH_TOLERANCE_M, count, DOUBLING)
+            accepted = smallest - widened(medial.tolerance, count, DOUBLING)
             if bound >= accepted or held + 2 > CELLS:
                 lowest = wp.min(lowest, bound - medial.slack)
                 continue
@@ -307,7 +307,7 @@ def over_balls(
                     cells[row, 3],
                     centre,
                     moved,
-                    smallest - DEPTH_TOLERANCE_M,
+                    smallest - medial.tolerance,
                 )
                 cells[row, 5] = inner
                 cells[row, 4] = wp.max(lower, bound)

@@ -16,7 +16,15 @@ from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.cutters.body import body_points
 from tissue.cutters.cutter import Cutter
 from tissue.models.bone.region_end import RegionEnd
-from tissue.models.keep_clear import APART_M, OVERLAP_M, Distance, KeepClear, Structure
+from tissue.models.keep_clear import (
+    APART_M,
+    DEEP_OVERLAP_M,
+    MANY_TRIANGLES,
+    OVERLAP_M,
+    Distance,
+    KeepClear,
+    Structure,
+)
 from tissue.models.tissue_model import StopsReporting
 from tissue.motion.motion import Motion
 from tissue.scene.anatomy import BlockImage, CutAnatomy, MolarSurfaces
@@ -85,11 +93,14 @@ def keep_clear(
         if surface.report.repairs:
             notes[f"surface of {name}"] = " ".join(surface.report.repairs)
     slack_m = max(structure.slack_m for structure in found.values())
+    deep = ""
+    if any(len(structure.faces) > MANY_TRIANGLES for structure in found.values()):
+        deep = f" ({1e3 * (slack_m + DEEP_OVERLAP_M):.2g} mm if it is more than 1 mm deep)"
     notes["keep clear"] = (
         "no distance in the trace is too large. A distance is too small by at most "
         f"{1e3 * (slack_m + APART_M):.2g} mm, and in a breach by at most "
-        f"{1e3 * (slack_m + OVERLAP_M):.2g} mm. Both errors are larger if tens of thousands of "
-        "triangles are equally near"
+        f"{1e3 * (slack_m + OVERLAP_M):.2g} mm{deep}. Both errors are larger if tens of thousands "
+        "of triangles are equally near"
     )
     return KeepClear(
         cutter.profile,
