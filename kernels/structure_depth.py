@@ -4,7 +4,7 @@ The tool is the union of its largest inscribed balls. If the centre of a ball li
 the depth of the ball is its radius plus the depth of its centre. The centres of all balls form the
 tool's medial axis, which is divided into cells. A cell is a part of a segment of the medial axis in
 the tool's half section, rotated around the tool's axis by a range of angles. A branch-and-bound
-search over the cells finds the deepest ball, with an error of at most `MedialAxis.tolerance`, unless
+search over the cells finds the deepest ball. The error is at most `MedialAxis.tolerance`, unless
 the search is long (`kernels.tool_distance.widened`).
 """
 

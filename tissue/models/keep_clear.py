@@ -39,8 +39,8 @@ The tolerances of the kernel and of the tool's medial axis add up to less than t
 MANY_TRIANGLES = 10000
 """Number of triangles of a structure above which the search in a deep overlap is coarse.
 
-With a reamer of 30 mm that is 7.5 mm deep in 15,000 triangles, a tick of the fine search takes 30 to
-40 ms, and a tick of the coarse search 10 ms.
+With a reamer of 30 mm that is 7.5 mm deep in 15,000 triangles, a tick of the fine search takes 30
+to 40 ms, and a tick of the coarse search 10 ms.
 """
 DEEP_OVERLAP_M = 1e-4
 """Largest error of the distance between tool and triangles in a coarse search [m].
@@ -126,7 +126,8 @@ class KeepClear:
         Distances in the last tick [mm], shape (structures,), negative in an overlap. A value is
         never larger than the true distance. The error is at most the slack of the structure plus
         0.001 mm if tool and structure are apart, and at most the slack plus 0.01 mm if they
-        overlap (0.1 mm in a coarse search, see `DEEP_OVERLAP_M`). The error is larger if tens of thousands of triangles have the same distance.
+        overlap (0.1 mm in a coarse search, see `DEEP_OVERLAP_M`). The error is larger if tens of
+        thousands of triangles have the same distance.
     notices
         Events, one sentence each. The simulation loop logs an event and then removes it.
     """

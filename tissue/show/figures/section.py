@@ -559,7 +559,9 @@ def draw_kept_clear(
     line = f"smallest distance of the tool,\n{least_mm:.2f} mm away from {near.name}{until}"
     if least_mm < 0.0:
         # the line of a depth need not lie in a plane with the axis
-        line = f"largest depth of the tool (projected),\n{-least_mm:.2f} mm inside {near.name}{until}"
+        line = (
+            f"largest depth of the tool (projected),\n{-least_mm:.2f} mm inside {near.name}{until}"
+        )
     handles: list[Artist] = [Line2D([], [], label=line, **NEAREST)]
     for name, colour in zip(distances_mm, cycle(STRUCTURES), strict=False):
         depth = np.asarray(clear.distances[name](points_m)).reshape(ACROSS, ACROSS).T
