@@ -7,7 +7,8 @@ import trimesh
 
 from tissue import load_scene, simulate
 from tissue.show.figures.force_depth import deepening_rows
-from tissue.show.figures.section import _handles, closest, draw_section, section_of
+from tissue.show.figures.nearest_points import closest
+from tissue.show.figures.section import _handles, draw_section, section_of
 
 pytest.importorskip("pyvista")
 
