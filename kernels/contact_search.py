@@ -109,9 +109,8 @@ def begin_work(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pos
 
     The triangle's nodes may then carry load. For each contact point of the triangle, the compliance
     and the friction anchor are stored. The anchor is the point's last position, moved along with
-    the tool. Return the number of contact points whose compliance is not available yet.
+    the tool.
     """
-    missing = int(0)
     lists.working[lists.count[WORKING]] = triangle
     lists.count[WORKING] = lists.count[WORKING] + 1
     lists.working_mark[triangle] = 1
@@ -137,12 +136,8 @@ def begin_work(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pos
                 compliance += weight[a] * to_node
             points.response[point, 3] = compliance
             points.response[point, 4] = safe_inverse(compliance)
-            if wp.isfinite(wp.trace(compliance)):
-                points.ready[point] = 1
-            else:
-                missing += 1
+            points.ready[point] = 1
         point = points.following[point]
-    return missing
 
 
 @wp.func
@@ -154,17 +149,13 @@ def join_touching(
     kind: int,
     size: wp.vec2d,
     pose: Pose,
-    missing: int,
 ):
     """Add nearby triangles that the tool penetrates to the working triangles.
 
-    Return the number of added triangles, and an updated count of contact points without available
-    compliance. The count starts at ``missing``, and points of the added triangles are counted.
-
-    Penetration counts only if the tool is on the side of the triangle's outward normal.
+    Return the number of added triangles. Penetration counts only if the tool is on the side of the
+    triangle's outward normal.
     """
     joined = int(0)
-    lost = int(missing)
     for k in range(lists.count[NEARBY]):
         triangle = lists.near[k]
         if lists.working_mark[triangle] == 0 and points.first[triangle] >= 0:
@@ -198,23 +189,21 @@ def join_touching(
                     point = points.following[point]
             if enters == 1:
                 joined += 1
-                lost += begin_work(body, points, lists, patch, pose, triangle)
-    return joined, lost
+                begin_work(body, points, lists, patch, pose, triangle)
+    return joined
 
 
 @wp.func
 def start_over(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose):
     """Rebuild the list of working triangles, and the nodal forces, from the contact forces.
 
-    A triangle is working if one of its contact points carries force. Return the number of contact
-    points whose compliance is not available yet.
+    A triangle is working if one of its contact points carries force.
     """
     for k in range(lists.count[WORKING]):
         lists.working_mark[lists.working[k]] = 0
     lists.count[WORKING] = 0
     for k in range(patch.count[LOADED]):
         body.force[patch.node[k]] = wp.vec3d()
-    missing = int(0)
     for k in range(lists.count[NEARBY]):
         triangle = lists.near[k]
         carries = int(0)
@@ -229,6 +218,5 @@ def start_over(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pos
                     body.force[node] = body.force[node] + weight[a] * force
             point = points.following[point]
         if carries == 1:
-            missing += begin_work(body, points, lists, patch, pose, triangle)
+            begin_work(body, points, lists, patch, pose, triangle)
     drop_idle(patch, lists.count[TICK])
-    return missing

@@ -107,8 +107,8 @@ The force on the tool [N] and the torque on the tool [N m] have three entries ea
 are: end state of the solver, number of sweeps, number of contact points with force, contact area
 [m2], largest penetration [m], and largest displacement [m].
 """
-DONE, RUN_OUT, IMMOVABLE, MISSING = 0, 1, 2, 3
-"""End states of the solver: converged, too many sweeps, rigid point penetrated, no compliance."""
+DONE, RUN_OUT, IMMOVABLE = 0, 1, 2
+"""End states of the solver: converged, too many sweeps, rigid point penetrated."""
 
 
 @wp.struct
@@ -140,7 +140,7 @@ class Points:
     # [point, 5]: compliance of the three nodes and of the point [m/N], and the point's inverse
     # [N/m]
     response: Matrices2D
-    ready: Int32s  # [point], 1 if the compliance is available
+    ready: Int32s  # [point], 1 if `response` is up to date
 
 
 NEARBY, WORKING, TICK = 0, 1, 2

@@ -84,21 +84,16 @@ def move_all(body: Body, patch: Patch, slots: int):
 
 @wp.func
 def gather(body: Body, patch: Patch, loaded: int, slot: int):
-    """Copy the compliance block of two slots into the rows of the ``loaded`` slot.
-
-    If the block is not available yet, all rows are copied again in the next tick.
-    """
+    """Copy the compliance block of two slots into the rows of the ``loaded`` slot."""
     between = block(body, patch.node[loaded], patch.node[slot])
     for i in range(3):
         for j in range(3):
             patch.row[3 * loaded + i, 3 * slot + j] = between[i, j]
-    if not wp.isfinite(between[0, 0] + between[1, 1] + between[2, 2]):
-        patch.count[STALE] = 1
 
 
 @wp.func
 def gather_again(body: Body, patch: Patch):
-    """Copy all rows again, because the compliance was scaled or blocks were missing."""
+    """Copy all rows again, because the compliance has changed."""
     patch.count[STALE] = 0
     for loaded in range(patch.count[LOADED]):
         for slot in range(patch.count[SLOTS]):

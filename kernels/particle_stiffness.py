@@ -24,12 +24,8 @@ scaled by this bracket.
 Springs between points x of the cell and the ground add ``sum N_a(x) N_b(x) S`` to K_ab. S is the 3
 x 3 stiffness of a spring, and N_a is the shape function of corner a.
 
-The module also computes strain and stress, including von Mises and principal stresses, at points of
-the cells.
-
-The displacement gradient is ``grad u = sum u_a g_a^T``, the strain ``e = sym grad u`` and the
-stress ``s = lambda tr(e) I + 2 mu e``. Principal stresses are computed in closed form (Smith 1961,
-Commun. ACM 4:168)."""  # noqa: E501 a table
+The module also computes the stress at points of the cells. The displacement gradient is ``grad u =
+sum u_a g_a^T``, the strain ``e = sym grad u`` and the stress ``s = lambda tr(e) I + 2 mu e``."""  # noqa: E501 a table
 
 import warp as wp
 
@@ -43,7 +39,7 @@ from kernels.arrays import (
     Shorts,
     Vectors,
 )
-from kernels.constants import HALF, ONE, THREE, TWO, ZERO
+from kernels.constants import HALF, ONE, TWO, ZERO
 from kernels.hexahedra import BLOCKS, block_of, corner_gradients
 
 wp.set_module_options({"enable_backward": False})
@@ -128,39 +124,9 @@ def particle_stiffness(
         stiffness_out[cell, block_of(a, a)] = diagonal
 
 
-THIRD_TURN = wp.constant(wp.float64(2.0943951023931953))
-"""Difference between the angles of two eigenvalues in Smith's formula, 2 pi / 3."""
-
-
-@wp.func
-def von_mises(stress: wp.mat33d):
-    """Compute the von Mises stress."""
-    mean = wp.trace(stress) / THREE
-    deviator = stress - wp.diag(wp.vec3d(mean, mean, mean))
-    return wp.sqrt(wp.float64(1.5) * wp.ddot(deviator, deviator))
-
-
-@wp.func
-def principal_values(stress: wp.mat33d):
-    """Compute the eigenvalues of a symmetric matrix, largest first."""
-    mean = wp.trace(stress) / THREE
-    shifted = stress - wp.diag(wp.vec3d(mean, mean, mean))
-    size = wp.sqrt(wp.ddot(shifted, shifted) / wp.float64(6.0))
-    values = wp.vec3d(mean, mean, mean)
-    # Otherwise, all three eigenvalues are equal to the mean.
-    if size > ZERO:
-        half = wp.determinant(shifted / size) / TWO
-        angle = wp.acos(wp.clamp(half, wp.float64(-1.0), ONE)) / THREE
-        first = mean + TWO * size * wp.cos(angle)
-        last = mean + TWO * size * wp.cos(angle + THIRD_TURN)
-        values = wp.vec3d(first, THREE * mean - first - last, last)
-    return values
-
-
 @wp.kernel
 def point_stress(
     # points
-    point: Int32s,  # row of each point in the next three arrays
     cell_of: Int32s,
     place: Vectors,  # position in the cell, 0 to 1 along each edge
     lame: Doubles2D,  # [row, 2]: lambda, mu [Pa]
@@ -173,8 +139,7 @@ def point_stress(
     stress_out: Doubles2D,  # [point, 6] [Pa]: xx, yy, zz, yz, xz, xy
 ):
     """Compute the stress tensor [Pa] at each point from the displacements of the nodes."""
-    i = wp.tid() + offset
-    row = point[i]
+    row = wp.tid() + offset
     cell = cell_of[row]
     gradients = corner_gradients(place[row], ONE / edge)
     gradient = wp.mat33d()
@@ -187,25 +152,7 @@ def point_stress(
     pressure = lame[row, 0] * wp.trace(strain)
     stress = TWO * lame[row, 1] * strain + wp.diag(wp.vec3d(pressure, pressure, pressure))
     for k in range(3):
-        stress_out[i, k] = stress[k, k]
-    stress_out[i, 3] = stress[1, 2]
-    stress_out[i, 4] = stress[0, 2]
-    stress_out[i, 5] = stress[0, 1]
-
-
-@wp.kernel
-def invariants(
-    components: Doubles2D,  # [point, 6] [Pa]: xx, yy, zz, yz, xz, xy
-    offset: int,
-    # out
-    von_mises_out: Doubles,  # [point] [Pa]
-    principal_out: Vectors,  # [point] [Pa], largest first
-):
-    """Compute the von Mises stress and the principal stresses [Pa] of each stress tensor."""
-    i = wp.tid() + offset
-    yz = components[i, 3]
-    xz = components[i, 4]
-    xy = components[i, 5]
-    stress = wp.mat33d(components[i, 0], xy, xz, xy, components[i, 1], yz, xz, yz, components[i, 2])
-    von_mises_out[i] = von_mises(stress)
-    principal_out[i] = principal_values(stress)
+        stress_out[row, k] = stress[k, k]
+    stress_out[row, 3] = stress[1, 2]
+    stress_out[row, 4] = stress[0, 2]
+    stress_out[row, 5] = stress[0, 1]

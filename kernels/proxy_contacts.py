@@ -13,7 +13,7 @@ import warp as wp
 
 from kernels.arrays import Doubles, Doubles2D, Int32s, Vectors, Vectors2D
 from kernels.constants import ZERO
-from kernels.voxmap import Field, solid_distance, voxel_clearance, voxel_level
+from kernels.voxmap import Field, box_distance, voxel_clearance, voxel_level
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -54,7 +54,7 @@ class Shell:
 class Contacts:
     """Contact state of a tool's shell points, and work arrays of the contact solver.
 
-    The arrays have one entry per slot. A slot is a pair (shell point, solid) or a pair (shell
+    The arrays have one entry per slot. A slot is a pair (shell point, box) or a pair (shell
     point, plane near voxels).
     """
 
@@ -192,7 +192,7 @@ def collect(
     count = int(0)
     worst = FAR
     clear = FAR
-    solids = field.kind.shape[0]
+    boxes = field.centre.shape[0]
     for i in range(shell.point.shape[0]):
         asleep = contacts.wake[i] - travel
         if asleep > early:
@@ -202,8 +202,8 @@ def collect(
             at = position + arm
             bound = FAR
             first = i * contacts.slots
-            for s in range(solids):
-                distance, normal = solid_distance(field, s, at)
+            for s in range(boxes):
+                distance, normal = box_distance(field, s, at)
                 gap = distance - shell.radius
                 bound = wp.min(bound, gap)
                 if gap < step:
@@ -217,7 +217,7 @@ def collect(
                     contacts.press[first + s] = ZERO
             if field.spacing > ZERO:
                 count, gap, far = collect_voxels(
-                    field, contacts, i, first + solids, arm, at, step, count
+                    field, contacts, i, first + boxes, arm, at, step, count
                 )
                 bound = wp.min(bound, far)
                 worst = wp.min(worst, gap)

@@ -26,7 +26,6 @@ from kernels.contact_state import (
     FORCE,
     IMMOVABLE,
     LARGEST,
-    MISSING,
     RUN_OUT,
     STATE,
     SWEEPS,
@@ -216,14 +215,12 @@ def solve_contact(
     """
     pose = pose_of(pose_rows)
     state = int(RUN_OUT)
-    missing = start_over(body_out, points_out, lists_out, patch_out, pose)
-    joined, missing = join_touching(
-        body_out, points_out, lists_out, patch_out, kind, size, pose, missing
-    )
+    start_over(body_out, points_out, lists_out, patch_out, pose)
+    join_touching(body_out, points_out, lists_out, patch_out, kind, size, pose)
     move_all(body_out, patch_out, patch_out.count[LOADED])
     largest = wp.float64(0.0)
     sweep = int(0)
-    while state == RUN_OUT and missing == 0 and sweep < sweeps and lists_out.count[WORKING] > 0:
+    while state == RUN_OUT and sweep < sweeps and lists_out.count[WORKING] > 0:
         sweep += 1
         worst = wp.float64(0.0)
         largest = wp.float64(0.0)
@@ -235,17 +232,13 @@ def solve_contact(
             largest = wp.max(largest, moved)
         if worst <= tolerance * largest:
             sum_loads(body_out, points_out, lists_out, patch_out)
-            joined, missing = join_touching(
-                body_out, points_out, lists_out, patch_out, kind, size, pose, missing
-            )
+            joined = join_touching(body_out, points_out, lists_out, patch_out, kind, size, pose)
             if joined == 0:
                 state = int(DONE)
     if lists_out.count[WORKING] == 0:
         state = int(DONE)
     if sweep == 0 or state == RUN_OUT:
         sum_loads(body_out, points_out, lists_out, patch_out)
-    if missing > 0:
-        state = int(MISSING)
     results_out[SWEEPS] = wp.float64(sweep)
     results_out[LARGEST] = largest
     report(

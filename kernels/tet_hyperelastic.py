@@ -1,10 +1,12 @@
 """Energy, force and tangent stiffness of tetrahedra of any order, for laws of principal stretches.
 
 The material laws are defined in ``tissue.materials.hyperelasticity``, with moduli relative to a
-cell's shear modulus mu. At a quadrature point, the deformation gradient is ``F = U diag(l) V^T``
-(``kernels.tet_nonlinear``). The principal stretches are l_i, their product is J, and the isochoric
-stretches are ``b_i = l_i J^(-1/3)``. With ``S(alpha) = sum_i b_i^alpha`` and ``x = S(2) - 3``, the
-energy density is:
+cell's shear modulus mu. At a quadrature point, the deformation gradient is ``F = sum x_a g_a^T``.
+Here ``g_a = sum_c reference[q, a, c] grad L_c`` is the gradient of node a's shape function, and
+``L_c`` are the barycentric coordinates of the undeformed corners. F has the singular value
+decomposition ``U diag(l) V^T``. The principal stretches are l_i, their product is J, and the
+isochoric stretches are ``b_i = l_i J^(-1/3)``. With ``S(alpha) = sum_i b_i^alpha`` and ``x = S(2) -
+3``, the energy density is:
 
     psi = mu (sum_p (2 s_p / alpha_p^2) (S(alpha_p) - 3) + sum_k c_k x^k
         + sum_e (s_e / (2 b_e)) (exp(b_e x) - 1)) + (kappa / 4) (J^2 - 1 - 2 ln J)
@@ -30,12 +32,13 @@ from kernels.arrays import (
     Doubles3D,
     Int32s,
     Int32s2D,
+    Matrices,
     Matrices2D,
     Vectors,
     Vectors2D,
 )
 from kernels.constants import HALF, ONE, THREE, TWO, ZERO
-from kernels.tet_nonlinear import deformation, gradient_of
+from kernels.tetrahedra import write_pair
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -44,6 +47,40 @@ SWEEPS = wp.constant(12)
 EQUAL = wp.constant(wp.float64(1.0e-5))  # as in tissue.materials.hyperelasticity
 LEAST = wp.constant(wp.float64(1.0e-3))
 """Smallest eigenvalue of the positive definite tangent, relative to the shear modulus."""
+
+
+IDENTITY = wp.constant(wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
+
+
+@wp.func
+def gradient_of(
+    cell: int,
+    q: int,
+    a: int,
+    reference: Doubles3D,
+    corner: Vectors2D,
+):
+    """Compute the gradient [1/m] of the shape function of node ``a`` at quadrature point ``q``."""
+    g = wp.vec3d()
+    for c in range(4):
+        g += reference[q, a, c] * corner[cell, c]
+    return g
+
+
+@wp.func
+def deformation(
+    cell: int,
+    q: int,
+    nodes: Int32s2D,
+    reference: Doubles3D,
+    corner: Vectors2D,
+    displacement: Vectors,
+):
+    """Compute the deformation gradient of a cell at quadrature point ``q``."""
+    f = wp.mat33d(IDENTITY)
+    for a in range(nodes.shape[1]):
+        f += wp.outer(displacement[nodes[cell, a]], gradient_of(cell, q, a, reference, corner))
+    return f
 
 
 @wp.func
@@ -333,3 +370,46 @@ def stretch_stiffness(
             if pair_first[pair] == pair_second[pair]:
                 block = HALF * (block + wp.transpose(block))
             block_out[cell, pair] = block_out[cell, pair] + weight * block
+
+
+@wp.kernel
+def gather_forces(
+    start: Int32s,  # [node + 1]
+    place: Int32s,  # flat index of each contribution in the cells' forces
+    share: Vectors,
+    offset: int,
+    # out
+    force_out: Vectors,  # [node] [N]
+):
+    """Sum the forces of the cells at each node, in a fixed order of the cells."""
+    node = wp.tid() + offset
+    total = wp.vec3d()
+    for k in range(start[node], start[node + 1]):
+        total += share[place[k]]
+    force_out[node] = total
+
+
+@wp.kernel
+def gather_blocks(
+    pair_start: Int32s,  # [pair of nodes + 1]
+    contribution: Int32s,  # flat index in the blocks; complement: transposed
+    place: Int32s,  # [pair of nodes], index of the block
+    mirror: Int32s,  # [pair of nodes], index of the transposed block
+    share: Matrices,
+    offset: int,
+    # out
+    block_out: Matrices,  # [N/m]
+):
+    """Sum the stiffness of the cells for each pair of nodes, and write the sum and its transpose.
+
+    The matrix is therefore symmetric to the last bit.
+    """
+    pair = wp.tid() + offset
+    total = wp.mat33d()
+    for k in range(pair_start[pair], pair_start[pair + 1]):
+        entry = contribution[k]
+        if entry < 0:
+            total += wp.transpose(share[-entry - 1])
+        else:
+            total += share[entry]
+    write_pair(total, place[pair], mirror[pair], block_out)

@@ -1,4 +1,4 @@
-"""Stiffness and stress of straight-sided tetrahedra.
+"""Stiffness of straight-sided tetrahedra.
 
 The gradients g_c of the barycentric coordinates are constant in a cell. For a pair of shape
 functions A and B, the exact integral of ``grad A (grad B)^T`` over a cell is ``S = V sum_cd w_cd
@@ -17,15 +17,6 @@ of S. This part only resists the mean volume change of a cell::
 For each pair of nodes, one thread sums the contributions of the cells in fixed order, and writes
 the sum and the transpose of the sum. The matrix is therefore symmetric to the last bit, on any
 number of threads.
-
-The module also computes strain and stress in linear or quadratic tetrahedra, averaged over groups
-of points.
-
-At a point with the barycentric coordinates l, the displacement gradient is ``sum_A u_A (sum_c
-(slope_Ac . l) g_c)^T``. The strain is the symmetric part of this gradient, and the stress is the
-material stiffness D times the strain. A group is either the centre of one cell, or a set of points
-at one node, with one point for each adjacent cell. In the average, the weight of a point is the
-volume of the point's cell.
 """
 
 import warp as wp
@@ -40,8 +31,7 @@ from kernels.arrays import (
     Vectors,
     Vectors2D,
 )
-from kernels.constants import HALF, TWO, ZERO
-from kernels.particle_stiffness import principal_values, von_mises
+from kernels.constants import ZERO
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -218,78 +208,3 @@ def pair_stiffness(
             _cell, mean = gradient_product(contribution[n], pair_corner, pair_mean, gradient)
             block += less * (volume[cell] * mean - product)
     write_pair(block, place[pair], mirror[pair], block_out)
-
-
-@wp.kernel
-def group_stress(
-    # groups
-    group_start: Int32s,  # [group + 1]
-    member: Int32s,  # cell x points per cell + point
-    # places and shape functions
-    place_at: wp.array(dtype=wp.vec4d),  # [point in a cell], barycentric coordinates
-    slope: wp.array2d(dtype=wp.vec4d),  # [shape function, corner], barycentric derivative
-    # cells
-    cell_nodes: Int32s2D,  # [cell, shape function]
-    gradient: Vectors2D,  # [cell, corner] [1/m]
-    volume: Doubles,  # [cell] [m3]
-    stiffness: Doubles3D,  # [1 or cell, 6, 6] [Pa], xx, yy, zz, yz, xz, xy
-    displacement: Vectors,  # [node] [m]
-    offset: int,
-    # out
-    strain_out: Doubles2D,  # [group, 6], tensor components
-    stress_out: Doubles2D,  # [group, 6] [Pa]
-    von_mises_out: Doubles,  # [group] [Pa]
-    principal_out: Vectors,  # [group] [Pa], largest first
-):
-    """Compute the mean strain and stress of each group of points; 0 for an empty group."""
-    group = wp.tid() + offset
-    strain = wp.mat33d()
-    voigt = wp.vector(length=6, dtype=wp.float64)
-    total = wp.float64(0.0)
-    for i in range(group_start[group], group_start[group + 1]):
-        cell = member[i] / place_at.shape[0]
-        at = place_at[member[i] - cell * place_at.shape[0]]
-        moved = wp.mat33d()
-        for a in range(slope.shape[0]):
-            along = wp.vec3d()
-            for c in range(4):
-                along += wp.dot(slope[a, c], at) * gradient[cell, c]
-            moved += wp.outer(displacement[cell_nodes[cell, a]], along)
-        here = HALF * (moved + wp.transpose(moved))
-        weight = volume[cell]
-        row = wp.min(cell, stiffness.shape[0] - 1)
-        for k in range(6):
-            value = wp.float64(0.0)
-            for j in range(3):
-                value += stiffness[row, k, j] * here[j, j]
-            value += TWO * (
-                stiffness[row, k, 3] * here[1, 2]
-                + stiffness[row, k, 4] * here[0, 2]
-                + stiffness[row, k, 5] * here[0, 1]
-            )
-            voigt[k] = voigt[k] + weight * value
-        strain += weight * here
-        total += weight
-    if total > ZERO:
-        strain = strain / total
-        voigt = voigt / total
-    for k in range(6):
-        stress_out[group, k] = voigt[k]
-    for k in range(3):
-        strain_out[group, k] = strain[k, k]
-    strain_out[group, 3] = strain[1, 2]
-    strain_out[group, 4] = strain[0, 2]
-    strain_out[group, 5] = strain[0, 1]
-    stress = wp.mat33d(
-        voigt[0],
-        voigt[5],
-        voigt[4],
-        voigt[5],
-        voigt[1],
-        voigt[3],
-        voigt[4],
-        voigt[3],
-        voigt[2],
-    )
-    von_mises_out[group] = von_mises(stress)
-    principal_out[group] = principal_values(stress)

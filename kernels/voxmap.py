@@ -1,4 +1,4 @@
-"""Distances of points from the obstacles of a rigid tool: bone voxels and exact solids.
+"""Distances of points from the obstacles of a rigid tool: bone voxels and solid boxes.
 
 The distance of a point from the surface of the voxels is not stored. It is computed on demand from
 the remaining fractions of the eight voxels around the point, so carving does not have to update
@@ -13,15 +13,12 @@ remains valid, because removal of bone can only increase the distance.
 
 import warp as wp
 
-from kernels.arrays import Doubles, Int32s, Int32s3D, Matrices, Shorts2D, Singles3D, Vectors
+from kernels.arrays import Int32s3D, Matrices, Shorts2D, Singles3D, Vectors
 from kernels.bricks import voxel_column, voxel_row
 from kernels.constants import HALF, ONE, ZERO
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-HALF_SPACE = 0
-BOX = 1
-BALL = 2
 CELL = 2
 """Edge length [voxel] of a cell of the grid `Field.clearance`."""
 SURFACE = 0.25
@@ -34,12 +31,11 @@ CELLS_PER_VOXEL = wp.constant(wp.float64(1.0 / CELL))
 
 @wp.struct
 class Field:
-    """Obstacles of a tool: convex solids, and bone as voxels in brick storage."""
+    """Obstacles of a tool: solid boxes, and bone as voxels in brick storage."""
 
-    kind: Int32s
-    centre: Vectors  # [m]; for a half-space, a point on its face
-    turn: Matrices  # solid to world; a half-space lies behind its third axis
-    size: Vectors  # half edges of a box; radius of a ball as first entry [m]
+    centre: Vectors  # centre of each box [m]
+    turn: Matrices  # rotation from each box to world
+    size: Vectors  # edge lengths of each box [m]
     brick_of: Int32s3D
     remaining: Shorts2D
     origin: wp.vec3d  # [m]
@@ -50,11 +46,13 @@ class Field:
 
 
 @wp.func
-def box_distance(half: wp.vec3d, local: wp.vec3d):
-    """Compute the signed distance to a box around the origin, and the gradient of the distance.
+def box_distance(field: Field, box: int, point: wp.vec3d):
+    """Compute the signed distance [m] to a box, negative inside, and its unit gradient.
 
-    Inside the box, the distance is negative, and its magnitude is the distance to the nearest face.
+    Inside the box, the magnitude of the distance is the distance to the nearest face.
     """
+    turn = field.turn[box]
+    local = wp.transpose(turn) * (point - field.centre[box])
     outside = wp.vec3d()
     toward = wp.vec3d()
     # -1e30 m stands for no face yet.
@@ -63,7 +61,7 @@ def box_distance(half: wp.vec3d, local: wp.vec3d):
         side = ONE
         if local[c] < ZERO:
             side = -ONE
-        beyond = side * local[c] - half[c]
+        beyond = side * local[c] - HALF * field.size[box][c]
         outside[c] = side * wp.max(beyond, ZERO)
         if beyond > deepest:
             deepest = beyond
@@ -73,23 +71,7 @@ def box_distance(half: wp.vec3d, local: wp.vec3d):
     if length > ZERO:
         deepest = length
         toward = outside / length
-    return deepest, toward
-
-
-@wp.func
-def solid_distance(field: Field, solid: int, point: wp.vec3d):
-    """Compute the signed distance [m] to a solid, negative inside, and its unit gradient."""
-    local = wp.transpose(field.turn[solid]) * (point - field.centre[solid])
-    distance = local[2]
-    toward = wp.vec3d(ZERO, ZERO, ONE)
-    if field.kind[solid] == BOX:
-        distance, toward = box_distance(field.size[solid], local)
-    elif field.kind[solid] == BALL:
-        length = wp.length(local)
-        distance = length - field.size[solid][0]
-        if length > ZERO:
-            toward = local / length
-    return distance, field.turn[solid] * toward
+    return deepest, turn * toward
 
 
 @wp.func
@@ -182,41 +164,3 @@ def voxel_level(field: Field, point: wp.vec3d):
     across = wp.lerp(b - a, d - c, fx)
     along = wp.lerp(wp.lerp(a1 - a0, b1 - b0, fy), wp.lerp(c1 - c0, d1 - d0, fy), fx)
     return (LEVEL - wp.lerp(near, far, fx)) * field.spacing, wp.vec3d(near - far, -across, -along)
-
-
-@wp.kernel
-def field_distance(
-    # points
-    point: Vectors,  # [m]
-    # field
-    field: Field,
-    # out
-    distance_out: Doubles,  # [m]
-    normal_out: Vectors,
-):
-    """Compute the distance [m] from each point to the nearest obstacle, and its outward direction.
-
-    The distance from solids is exact. At points farther than half a voxel from bone, the distance
-    from bone is only a lower bound, and its direction is (0, 0, 0).
-    """
-    i = wp.tid()
-    # 1e30 m: no solid yet
-    least = wp.float64(1.0e30)
-    direction = wp.vec3d()
-    for solid in range(field.kind.shape[0]):
-        distance, toward = solid_distance(field, solid, point[i])
-        if distance < least:
-            least = distance
-            direction = toward
-    if field.spacing > ZERO:
-        distance = voxel_clearance(field, point[i])
-        toward = wp.vec3d()
-        if distance <= ZERO:
-            level, slope = voxel_level(field, point[i])
-            distance = level
-            toward = wp.normalize(slope)
-        if distance < least:
-            least = distance
-            direction = toward
-    distance_out[i] = least
-    normal_out[i] = direction

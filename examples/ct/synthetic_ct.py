@@ -19,6 +19,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import SimpleITK
+from nibabel.orientations import (
+    apply_orientation,
+    axcodes2ornt,
+    inv_ornt_aff,
+    ornt_transform,
+)
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
@@ -57,15 +64,8 @@ _HIGHEST_HU = 3071
 """Range of 12-bit values."""
 ORIENTATIONS = ("LPS", "RAS", "AIR", "SLP")
 """Axis orientations that the command line offers; `reoriented` accepts all 48."""
-_AXES = {
-    "L": (0, 1.0),
-    "R": (0, -1.0),
-    "P": (1, 1.0),
-    "A": (1, -1.0),
-    "S": (2, 1.0),
-    "I": (2, -1.0),
-}
-_TO_RAS = np.diag([-1.0, -1.0, 1.0])
+_ENDS = (("R", "L"), ("A", "P"), ("I", "S"))
+"""Names of the lower and of the upper end of each axis in LPS."""
 _CT_CLASS = "1.2.840.10008.5.1.4.1.1.2"
 
 Distance = Callable[[Array], Array]
@@ -400,21 +400,22 @@ def reoriented(stored: StoredImage, axes: str) -> StoredImage:
     InputError
         If the axes are not one of each pair L or R, P or A, S or I.
     """
-    # axis 3 does not exist: an unknown letter is refused below
-    found = [_AXES.get(letter.upper(), (3, 1.0)) for letter in axes]
-    if sorted(axis for axis, _ in found) != [0, 1, 2]:
-        raise InputError(f"axes must name each direction once, got {axes!r}: use LPS or RAS")
-    order = [axis for axis, _ in found]
-    signs = np.array([sign for _, sign in found])
-    steps = (stored.directions * stored.spacing_mm)[:, order]
-    flipped = np.flatnonzero(signs < 0.0)
-    values = np.flip(np.transpose(stored.values, order), tuple(flipped.tolist()))
-    origin = stored.origin_mm + sum(
-        (steps[:, axis] * (values.shape[axis] - 1) for axis in flipped), start=np.zeros(3)
-    )
-    spacing = tuple(stored.spacing_mm[axis] for axis in order)
-    x, y, z = spacing
-    return StoredImage(values, (x, y, z), stored.directions[:, order] * signs, origin)
+    try:
+        wanted = axcodes2ornt(axes.upper(), _ENDS)
+        turn = ornt_transform(axcodes2ornt("LPS", _ENDS), wanted)
+        if len(np.unique(wanted[:, 0])) < 3:
+            raise ValueError("an axis is named twice")
+    except ValueError:
+        raise InputError(
+            f"axes must name each direction once, got {axes!r}: use LPS or RAS"
+        ) from None
+    affine = np.eye(4)
+    affine[:3, :3] = stored.directions * stored.spacing_mm
+    affine[:3, 3] = stored.origin_mm
+    affine = affine @ inv_ornt_aff(turn, stored.values.shape)
+    x, y, z = (stored.spacing_mm[axis] for axis in np.argsort(turn[:, 0]))
+    values = apply_orientation(stored.values, turn)
+    return StoredImage(values, (x, y, z), affine[:3, :3] / (x, y, z), affine[:3, 3])
 
 
 def write_stored(path: str | Path, stored: StoredImage, *, tilt_deg: float = 0.0) -> Path:
@@ -429,10 +430,12 @@ def write_stored(path: str | Path, stored: StoredImage, *, tilt_deg: float = 0.0
         If the name has another ending.
     """
     path = Path(path)
-    if path.name.endswith((".nii", ".nii.gz")):
-        _write_nifti(path, stored)
-    elif path.suffix in (".nrrd", ".mha", ".mhd"):
-        _write_itk(path, stored)
+    if path.name.endswith((".nii", ".nii.gz", ".nrrd", ".mha", ".mhd")):
+        image = SimpleITK.GetImageFromArray(np.ascontiguousarray(stored.values.transpose(2, 1, 0)))
+        image.SetSpacing(stored.spacing_mm)
+        image.SetOrigin(stored.origin_mm.tolist())
+        image.SetDirection(stored.directions.ravel().tolist())
+        SimpleITK.WriteImage(image, str(path), useCompression=path.suffix in (".nrrd", ".gz"))
     elif path.suffix == "":
         _write_dicom(path, stored, tilt_deg)
     else:
@@ -467,27 +470,6 @@ def write_phantom(folder: str | Path, phantom: CtPhantom) -> Path:
     }
     (folder / "truth.json").write_text(json.dumps(truth, indent=2), "utf-8")
     return folder
-
-
-def _write_nifti(path: Path, stored: StoredImage) -> None:
-    import nibabel
-
-    affine = np.eye(4)
-    affine[:3, :3] = _TO_RAS @ (stored.directions * stored.spacing_mm)
-    affine[:3, 3] = _TO_RAS @ stored.origin_mm
-    image = nibabel.nifti1.Nifti1Image(np.ascontiguousarray(stored.values), affine)
-    image.header.set_xyzt_units("mm")
-    nibabel.loadsave.save(image, path)
-
-
-def _write_itk(path: Path, stored: StoredImage) -> None:
-    import SimpleITK
-
-    image = SimpleITK.GetImageFromArray(np.ascontiguousarray(stored.values.transpose(2, 1, 0)))
-    image.SetSpacing(stored.spacing_mm)
-    image.SetOrigin(stored.origin_mm.tolist())
-    image.SetDirection(stored.directions.ravel().tolist())
-    SimpleITK.WriteImage(image, str(path), useCompression=path.suffix == ".nrrd")
 
 
 def _write_dicom(folder: Path, stored: StoredImage, tilt_deg: float) -> None:

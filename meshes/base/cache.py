@@ -4,11 +4,10 @@ A cache entry is identified by all inputs of the computation whose results it ho
 """
 
 import hashlib
-import json
 import os
 import sys
-from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -17,7 +16,8 @@ from numpy.typing import NDArray
 
 from meshes.base.whole_file import package_version, whole_file
 
-_SEAL = "tissue cache entry"
+_CODE = "version of the code"
+"""Name of the array in a cache file that contains the version of the code, as text."""
 _DIGEST_BYTES = 16
 """Size of a checksum [byte]. The chance that two of 1e9 entries have the same checksum is 2e-21."""
 Arrays = dict[str, NDArray[Any]]
@@ -55,10 +55,9 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
 
     Notes
     -----
-    A file contains the arrays, their types and shapes, a checksum, and the version of the code (the
-    version of tissue and of the module of ``make``). The arrays are computed again if the file
-    cannot be read, or if the checksum or the version does not match. If the folder cannot be
-    written, nothing is stored.
+    A file contains the arrays, their checksums, and the version of the code (the version of tissue
+    and of the module of ``make``). The arrays are computed again if the file cannot be read, or if
+    a checksum or the version does not match. If the folder cannot be written, nothing is stored.
     """
     digest = hashlib.blake2b(digest_size=_DIGEST_BYTES)
     for part in key:
@@ -69,72 +68,20 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
             digest.update(repr(part).encode())
     path = cache_folder() / f"{kind}-{digest.hexdigest()}.npz"
     code = _code(make)
-    kept = _read(path, code)
-    if kept is not None:
-        return kept
-    arrays = {name: np.asarray(array) for name, array in make().items()}
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as temporary:
-            sealed: dict[str, Any] = {_SEAL: np.array(_seal(arrays, code)), **arrays}
-            np.savez(temporary, **sealed)
-    # An unwritable folder or a full disk must not end the computation.
-    except OSError:
-        pass
-    return arrays
-
-
-def read_entry(path: Path) -> str | None:
-    """Return the text of a cache entry, or None.
-
-    The result is None if the entry is missing or damaged, or was written by another version of
-    tissue.
-    """
-    try:
-        head, _, text = path.read_bytes().decode("utf-8").partition("\n")
-    except (OSError, UnicodeDecodeError):
-        return None
-    return text if head == _head(text) else None
-
-
-def write_entry(path: Path, text: str) -> None:
-    """Write a cache entry: a line with the version of tissue and a checksum, then the text.
-
-    The file is written atomically, so another process never reads an incomplete file.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as temporary:
-        temporary.write_bytes(f"{_head(text)}\n{text}".encode())
-
-
-def _head(text: str) -> str:
-    return (
-        f"# {_SEAL} {package_version()} "
-        f"{hashlib.blake2b(text.encode(), digest_size=_DIGEST_BYTES).hexdigest()}"
-    )
-
-
-def _read(path: Path, code: str) -> Arrays | None:
-    """Return the arrays of a cache file, or None if it is damaged or from another code version."""
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
-            return arrays if str(arrays.pop(_SEAL)) == _seal(arrays, code) else None
     # zipfile, zlib and NumPy raise many types of errors for a damaged file. If one byte of the
     # header of an array is changed, for example, NumPy may raise tokenize.TokenError.
-    except Exception:
-        return None
-
-
-def _seal(arrays: Arrays, code: str) -> str:
-    """Describe arrays as JSON: version of the code, array types, shapes and a checksum."""
-    checksum = hashlib.blake2b(digest_size=_DIGEST_BYTES)
-    for array in arrays.values():
-        checksum.update(np.ascontiguousarray(array).tobytes())
-    described = {name: [array.dtype.str, array.shape] for name, array in arrays.items()}
-    return json.dumps(
-        {"format": 1, "code": code, "arrays": described, "checksum": checksum.hexdigest()}
-    )
+    with suppress(Exception), np.load(path, allow_pickle=False) as stored:
+        # The archive contains a checksum of each array, which is compared when the array is read.
+        kept = {name: stored[name] for name in stored.files}
+        if str(kept.pop(_CODE)) == code:
+            return kept
+    arrays = {name: np.asarray(array) for name, array in make().items()}
+    # An unwritable folder or a full disk must not end the computation.
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as temporary:
+            np.savez(temporary, **{_CODE: np.array(code)}, **arrays)  # type: ignore[arg-type]
+    return arrays
 
 
 def _code(make: Callable[[], Arrays]) -> str:
@@ -169,7 +116,7 @@ class Kept(Generic[Result]):
 
     def __init__(self, most: int) -> None:
         self._most = most
-        self._results: OrderedDict[Hashable, Result] = OrderedDict()
+        self._results: dict[Hashable, Result] = {}
 
     def __len__(self) -> int:
         return len(self._results)
@@ -184,5 +131,5 @@ class Kept(Generic[Result]):
             found = make()
         self._results[key] = found
         while len(self._results) > self._most:
-            self._results.popitem(last=False)
+            del self._results[next(iter(self._results))]
         return found

@@ -324,7 +324,8 @@ def names_of_caller(names: Mapping[str, str]) -> Iterator[None]:
 def ranged(default: float, lowest: float, highest: float, remedy: str = "") -> Any:
     """Declare a numeric field of a `Ranged` dataclass, with its default and its limits."""
     return field(
-        default=default, metadata={"range": (lowest, highest, remedy or f"use {default:g}")}
+        default=default,
+        metadata={"range": (lowest, highest, remedy or f"use a value such as {default:g}")},
     )
 
 

@@ -16,9 +16,8 @@ from contextlib import suppress
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
-from threading import Event, Thread
 from time import monotonic
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
 
 from meshes.base.errors import DamagedFileError, InputError
@@ -100,8 +99,6 @@ _LOOK_EVERY_S = 0.05
 In this interval, a process can allocate about 0.1 GB. This is little compared with the smallest
 memory limit, 2 GiB.
 """
-_LAST_S = 2.0
-"""Time limit [s] for a parser to exit after its pipe is closed. The exit code is then known."""
 
 
 def parse_isolated(
@@ -173,72 +170,49 @@ def _asked(request: str, limit_s: float, most_bytes: int) -> Answer:
 
     If the process crashes or exceeds a limit, the result contains a description of this problem.
     """
+    import numpy as np
+
     command = python_command(_START, request, str(os.getpid()), str(limit_s))
     with subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     ) as process:
-        done, reasons = _monitored(process, limit_s, most_bytes)
         try:
-            assert process.stdout is not None
-            return _receive(process.stdout)
-        except (BadZipFile, EOFError, ValueError, MemoryError) as problem:
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(_LAST_S)  # the pipe closes before the process exits
-            process.kill()
-            process.wait()
-            if isinstance(problem, MemoryError):
-                reasons.append("it takes too much memory")
-            reasons.append(f"its parser crashed with exit code {process.returncode}")
-            return {"problem": reasons[0]}, {}
-        except BaseException:
-            process.kill()
-            raise
+            output, problem = _output(process, limit_s, most_bytes)
         finally:
-            done.set()
+            process.kill()
+    if problem is not None:
+        return {"problem": problem}, {}
+    try:
+        with np.load(BytesIO(output), allow_pickle=False) as stored:
+            answer, *arrays = (stored[name] for name in stored.files)
+        facts: Facts = json.loads(str(answer))
+        return facts, dict(zip(facts.pop("arrays"), arrays, strict=True))
+    except MemoryError:
+        return {"problem": "it takes too much memory"}, {}
+    except (BadZipFile, EOFError, ValueError):
+        return {"problem": f"its parser crashed with exit code {process.returncode}"}, {}
 
 
-def _monitored(
+def _output(
     process: subprocess.Popen[bytes], longest_s: float, most_bytes: int
-) -> tuple[Event, list[str]]:
-    """Monitor a process in a thread, and kill the process if it exceeds a limit.
-
-    Return an event that ends the monitoring, and a list that receives the name of an exceeded
-    limit.
-    """
+) -> tuple[bytes, str | None]:
+    """Return the output of a process, or a description of the limit that the process exceeded."""
     import psutil
 
     most_bytes = min(most_bytes, memory_limit_bytes() + _LIBRARIES_BYTES)
-    reasons: list[str] = []
-    done = Event()
-
-    def watch() -> None:
-        """Check the process until `done` is set, or until the process exceeds a limit."""
-        end = monotonic() + longest_s
-        while not (reasons or done.wait(_LOOK_EVERY_S)):
-            try:
-                taken = psutil.Process(process.pid).memory_info().rss
-            except psutil.Error:
-                return  # the process has exited
+    end = monotonic() + longest_s
+    while True:
+        try:
+            return process.communicate(timeout=_LOOK_EVERY_S)[0], None
+        except subprocess.TimeoutExpired:
             if monotonic() > end:
-                reasons.append(f"its parser took longer than {longest_s:g} s")
-            elif taken > most_bytes:
-                limit = f"{most_bytes / 2**30:.2g} GiB of memory"
-                reasons.append(f"its parser took more than {limit}")
-        if reasons:
-            process.kill()
-
-    Thread(target=watch, daemon=True).start()
-    return done, reasons
-
-
-def _receive(answers: IO[bytes]) -> Answer:
-    """Read the result of the child process, and raise an error if the result is incomplete."""
-    import numpy as np
-
-    with np.load(BytesIO(answers.read()), allow_pickle=False) as stored:
-        answer, *arrays = (stored[name] for name in stored.files)
-    facts: Facts = json.loads(str(answer))
-    return facts, dict(zip(facts.pop("arrays"), arrays, strict=True))
+                return b"", f"its parser took longer than {longest_s:g} s"
+        except MemoryError:
+            return b"", "it takes too much memory"
+        # If the process has exited, its output is read in the next iteration.
+        with suppress(psutil.Error):
+            if psutil.Process(process.pid).memory_info().rss > most_bytes:
+                return b"", f"its parser took more than {most_bytes / 2**30:.2g} GiB of memory"
 
 
 def _serve() -> None:

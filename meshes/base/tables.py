@@ -330,39 +330,28 @@ def _require_decimal_points(
 
 
 def _marks(rows: list[list[str]], delimiter: str, path: Path, what: str) -> tuple[str, str]:
-    """Return the decimal mark and the thousands separator, which may be empty."""
-    cells = [cell for row in rows for cell in row if "," in cell or cell.count(".") > 1]
-    commas = [cell for cell in map(str.strip, cells) if _NUMBER.fullmatch(cell)]
-    if not commas:
+    """Return the decimal mark and the thousands separator, which may be empty.
+
+    The first notation in which all numbers can be written is used. A single number such as 1,234
+    has a thousands separator only if commas also separate the columns, or if another number has a
+    decimal point.
+    """
+    cells = [cell.strip() for row in rows for cell in row if "," in cell or "." in cell]
+    if not any("," in cell or cell.count(".") > 1 for cell in cells):
         return ".", ""
-    # if a number has two different marks, the last one is the decimal mark; a mark that occurs
-    # twice separates thousands
-    decimals = set[str]()
-    for cell in commas:
-        if "," in cell and "." in cell:
-            decimals.add("," if cell.rfind(",") > cell.rfind(".") else ".")
-        elif cell.count(",") > 1:
-            decimals.add(".")
-        elif cell.count(".") > 1:
-            decimals.add(",")
-    if len(decimals) == 2:
-        raise InputError(
-            f"{what}: {path.name} has numbers with a decimal comma and with a decimal point. "
-            "Export it with one of them."
-        )
-    if decimals:
-        return (".", ",") if "." in decimals else (",", ".")
-    grouped = re.compile(r"[+-]?[1-9]\d{0,2}[.,]\d{3}")
-    points = [cell for row in rows for cell in map(str.strip, row) if "." in cell]
-    points = [cell for cell in points if _NUMBER.fullmatch(cell)]
-    if all(grouped.fullmatch(cell) for cell in commas) and (points or delimiter == ","):
-        return ".", ","
-    if points and not all(grouped.fullmatch(cell) for cell in points):
-        raise InputError(
-            f"{what}: {path.name} has both {commas[0]!r} and {points[0]!r}. Export all of its "
-            "numbers with decimal points."
-        )
-    return ",", "." if points else ""
+    numbers = [cell for cell in cells if _NUMBER.fullmatch(cell)]
+    notations = [(".", ""), (",", ""), (".", ","), (",", ".")]
+    if delimiter == ",":
+        notations.insert(1, (".", ","))
+    for decimal, thousands in notations:
+        whole = rf"\d*|[1-9]\d{{0,2}}([{thousands}{_SPACES} ]\d{{3}})+"
+        notation = re.compile(rf"[+-]?({whole})([{decimal}]\d*)?([eE][+-]?\d+)?")
+        if all(map(notation.fullmatch, numbers)):
+            return decimal, thousands
+    raise InputError(
+        f"{what}: {path.name} has numbers with a decimal comma and with a decimal point. "
+        "Export it with one of them."
+    )
 
 
 def _header(above: list[list[str]], width: int) -> tuple[tuple[str, ...], int, bool]:
@@ -375,11 +364,11 @@ def _header(above: list[list[str]], width: int) -> tuple[tuple[str, ...], int, b
         at -= 1
     if at < 0 or len(above[at]) != width:
         return (), 0, False
-    names = [cell.strip().lstrip("#%").strip() for cell in above[at]]
+    names = [cell.lstrip(" \t#%").strip() for cell in above[at]]
     # a unit has at most six characters, such as mm/min; longer cells are names
     units = [re.fullmatch(r"[\[(]?([A-Za-zµ°%/*· -]{0,6})[\])]?", name) for name in names]
     if at > 0 and len(above[at - 1]) == width and all(units):
-        first = [cell.strip().lstrip("#%").strip() for cell in above[at - 1]]
+        first = [cell.lstrip(" \t#%").strip() for cell in above[at - 1]]
         if not _count(first):
             stated = [unit[1].strip() if unit else "" for unit in units]
             joined = [

@@ -91,7 +91,7 @@ def imaged_anatomy(
     dense, articular = require_ranges(
         # The default density of trabecular bone is 350 kg/m3, and the densest cortex has 2000
         # kg/m3.
-        ("cortical_above_kg_m3", cortical_above_kg_m3, 300.0, 2000.0, "use 1000"),
+        ("cortical_above_kg_m3", cortical_above_kg_m3, 300.0, 2000.0, "use a value such as 1000"),
         (
             # A radius of 100 mm or more is the whole bone. The radius of a glenoid is about 18 mm.
             "articular_radius_mm",

@@ -66,7 +66,7 @@ def image_volume(
     spacing = (
         min(image.spacing_mm)
         if resample_mm is None
-        else require_positive("resample_mm", resample_mm, "use 0.1")
+        else require_positive("resample_mm", resample_mm, "use a value such as 0.1")
     )
     notes = list(image.notes)
     if resample_mm is None and max(image.spacing_mm) > (1.0 + _ISOTROPY) * spacing:
@@ -80,7 +80,9 @@ def image_volume(
     mass = fraction * (
         density_kg_m3(values)
         if callable(density_kg_m3)
-        else np.float32(require_range("density_kg_m3", density_kg_m3, 50.0, 20000.0, "use 1800"))
+        else np.float32(
+            require_range("density_kg_m3", density_kg_m3, 50.0, 20000.0, "use a value such as 1800")
+        )
     )
     for axis, size in enumerate(image.spacing_mm):
         fraction, mass = (_averaged(a, axis, spacing / size) for a in (fraction, mass))

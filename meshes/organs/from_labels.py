@@ -195,7 +195,9 @@ class LabelledOrgan:
         edge = usual if edge_mm is None else edge_mm
         # Finer meshes have millions of tetrahedra. Coarser meshes do not represent the shape of the
         # organ.
-        edge = require_range("edge_mm", edge, longest / 100.0, longest / 4.0, f"use {usual:.2g}")
+        edge = require_range(
+            "edge_mm", edge, longest / 100.0, longest / 4.0, f"use a value such as {usual:.2g}"
+        )
         with names_of_caller({"edge_m": "edge_mm"}):
             filled, _ = tetrahedralise(self.surface, edge_m=1e-3 * edge, report=report)
         organ_m3 = _volume_m3(self.solid)

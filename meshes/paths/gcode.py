@@ -7,7 +7,8 @@ compensation, raise an error that names the word.
 """
 
 import re
-from math import acos, atan2, ceil, cos, hypot, isclose, nan, pi, sin, sqrt
+from cmath import phase, rect
+from math import acos, ceil, nan, pi, sqrt
 from pathlib import Path
 
 import numpy as np
@@ -62,17 +63,6 @@ _HOME = ("G28", "G30", "G53")
 _END = ("M2", "M30")
 _PARAMETERS = {"G4": "PXU", "G64": "PQ"}
 """Parameter letters of each G word that does not move the tool."""
-_MEANING = {
-    **{f"G{n}": "a canned cycle" for n in (73, 74, 76, *range(81, 90))},
-    **{f"G{n}": "cutter compensation" for n in (41, 42)},
-    **{f"G{n}": "a shift of the origin" for n in (10, 52, 92)},
-    **{f"G{n}": "another feed mode" for n in (93, 95)},
-    **{f"G{n}": "a spline" for n in (5, 5.1, 5.2)},
-    **{f"G{n}": "scaling or rotation" for n in (16, 50, 51, 68)},
-    **dict.fromkeys(_SUBPROGRAMS, "a subprogram"),
-    "G65": "a macro",
-}
-"""Meaning of common G-code words that raise an error, for error messages."""
 _PLANES = {"G17": ("X", "Y", "Z"), "G18": ("Z", "X", "Y"), "G19": ("Y", "Z", "X")}
 """Axes by the G word of an arc's plane: two axes in the plane, and the axis of a helix."""
 _OFFSETS = {"X": "I", "Y": "J", "Z": "K"}
@@ -200,9 +190,8 @@ class Program:
             elif code in _STILL or (code[0] == "M" and code not in _SUBPROGRAMS):
                 self._left_out.add(code)
             elif code not in _HOME:
-                meaning = f" ({_MEANING[code]})" if code in _MEANING else ""
                 raise self._refused(
-                    f"has {code}{meaning}, which is not supported",
+                    f"has {code}, which is not supported",
                     "Export the program with plain moves G0, G1, G2 and G3",
                 )
             if code in _WORK_OFFSETS:
@@ -249,75 +238,67 @@ class Program:
         if is_arc:
             self._arc(start, numbers)
         else:
-            self._add([self._place[letter] for letter in "XYZ"])
+            self._add(self._place)
 
-    def _add(self, point_mm: list[float]) -> None:
-        self.points_mm.append(point_mm)
+    def _add(self, place: dict[str, float]) -> None:
+        self.points_mm.append([place[letter] for letter in "XYZ"])
         self.feeds_mm_s.append(nan if self._modes["motion"] == "G0" else self._feed_mm_s)
 
     def _arc(self, start: dict[str, float], numbers: dict[str, float]) -> None:
-        """Add the points of an arc or a helix."""
+        """Add the points of an arc or a helix.
+
+        In the plane of the arc, a position is a complex number: the first coordinate plus the
+        second coordinate times the imaginary unit.
+        """
         if set(start) != set("XYZ"):
             raise self._refused("has an arc from an unknown place", "Start it at a known point")
         if numbers.get("P", 1.0) != 1.0:
             raise self._refused("has an arc of several turns (P)", "Write one line per turn")
         first, second, along = _PLANES[self._modes["plane"]]
-        begin = start[first], start[second]
-        end = self._place[first], self._place[second]
+        begin = complex(start[first], start[second])
+        end = complex(self._place[first], self._place[second])
         sense = 1.0 if self._modes["motion"] == "G3" else -1.0
         centre = self._centre(begin, end, sense, numbers)
-        from_r = hypot(begin[0] - centre[0], begin[1] - centre[1])
-        to_r = hypot(end[0] - centre[0], end[1] - centre[1])
+        from_r = abs(begin - centre)
+        to_r = abs(end - centre)
         if min(from_r, to_r) <= 0.0 or abs(from_r - to_r) > _RADIUS_MM:
             raise self._refused(
                 f"has an arc with radii of {from_r:.4g} mm at its start and {to_r:.4g} mm at its "
                 "end",
                 "Check I, J and K, and whether they are absolute (G90.1)",
             )
-        angle = atan2(begin[1] - centre[1], begin[0] - centre[0])
-        turn = sense * (atan2(end[1] - centre[1], end[0] - centre[0]) - angle) % (2.0 * pi)
+        angle = phase(begin - centre)
+        turn = sense * (phase(end - centre) - angle) % (2.0 * pi)
         # if start and end are equal, the arc is a full circle
-        is_closed = all(isclose(a, b, abs_tol=1e-9) for a, b in zip(begin, end, strict=True))
-        if is_closed or turn == 0.0:
+        if abs(end - begin) <= 1e-9 * max(abs(begin), 1.0) or turn == 0.0:
             turn = 2.0 * pi
         widest = 2.0 * acos(max(1.0 - ARC_ERROR_MM / max(from_r, to_r), 0.0))
         count = ceil(turn / min(widest, _WIDEST_RAD))
-        for part in (np.arange(1, count + 1) / count).tolist():
-            radius = from_r + part * (to_r - from_r)
-            at = angle + sense * part * turn
-            place = {
-                first: centre[0] + radius * cos(at),
-                second: centre[1] + radius * sin(at),
-                along: start[along] + part * (self._place[along] - start[along]),
-            }
-            if part == 1.0:
-                place = self._place
-            self._add([place[letter] for letter in "XYZ"])
+        for part in (np.arange(1, count) / count).tolist():
+            at = centre + rect(from_r + part * (to_r - from_r), angle + sense * part * turn)
+            height = start[along] + part * (self._place[along] - start[along])
+            self._add({first: at.real, second: at.imag, along: height})
+        self._add(self._place)
         self._arcs += 1
 
     def _centre(
-        self,
-        begin: tuple[float, float],
-        end: tuple[float, float],
-        sense: float,
-        numbers: dict[str, float],
-    ) -> tuple[float, float]:
+        self, begin: complex, end: complex, sense: float, numbers: dict[str, float]
+    ) -> complex:
         """Return the centre of an arc in its plane [mm]."""
         first, second, _ = _PLANES[self._modes["plane"]]
         letters = _OFFSETS[first], _OFFSETS[second]
-        given = [letter in numbers for letter in letters]
         if "R" not in numbers:
+            given = [letter in numbers for letter in letters]
             is_absolute = self._modes["centre"] == "G90.1"
             if not any(given) or (is_absolute and not all(given)):
                 raise self._refused(
                     "has an arc without its centre",
                     f"Give {' and '.join(letters)}, or the radius R",
                 )
-            base = (0.0, 0.0) if is_absolute else begin
-            x, y = (self._mm(numbers.get(letter, 0.0)) for letter in letters)
-            return base[0] + x, base[1] + y
+            offset = complex(*(self._mm(numbers.get(letter, 0.0)) for letter in letters))
+            return offset if is_absolute else begin + offset
         radius = self._mm(numbers["R"])
-        chord = hypot(end[0] - begin[0], end[1] - begin[1])
+        chord = abs(end - begin)
         if chord == 0.0 or chord > 2.0 * (abs(radius) + _RADIUS_MM):
             raise self._refused(
                 f"has an arc of radius {abs(radius):.4g} mm between points {chord:.4g} mm apart",
@@ -326,10 +307,7 @@ class Program:
         # for a short arc with G3, the centre lies on the left of the chord; R < 0 means the long
         # arc
         away = sqrt(max(radius**2 - 0.25 * chord**2, 0.0)) * sense * (1.0 if radius > 0.0 else -1.0)
-        return (
-            0.5 * (begin[0] + end[0]) - away * (end[1] - begin[1]) / chord,
-            0.5 * (begin[1] + end[1]) + away * (end[0] - begin[0]) / chord,
-        )
+        return 0.5 * (begin + end) + 1j * away * (end - begin) / chord
 
     def _refused(self, problem: str, remedy: str) -> InputError:
         return InputError(f"path: line {self._line} of {self._file} {problem}. {remedy}.")

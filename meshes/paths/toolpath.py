@@ -6,7 +6,6 @@ A path can be converted to a replay table, which the simulation uses to move the
 path. The table contains times, and positions and orientations of the tool in the site's frame.
 """
 
-import csv
 import re
 from dataclasses import dataclass
 from itertools import pairwise
@@ -20,7 +19,7 @@ from meshes.base.errors import InputError, require_file, require_positive
 from meshes.base.tables import decoded_text, read_table
 from meshes.base.text_tables import require_distinct_columns
 from meshes.base.units import UNITS, column_of, name_of, unit_of
-from meshes.base.whole_file import whole_file
+from meshes.base.whole_file import write_rows
 from meshes.paths.gcode import read_gcode
 from meshes.surfaces.markups import TO_LPS, read_curve
 from meshes.surfaces.site import Site
@@ -59,7 +58,7 @@ def path_distance(points: Array, corners: Array) -> Array:
     for start, end in pairwise(corners):
         leg = end - start
         # a leg without length is its start
-        along = np.clip((points - start) @ leg / max(float(leg @ leg), 1e-12), 0.0, 1.0)
+        along = np.clip((points - start) @ leg / max(float(leg @ leg), 1e-300), 0.0, 1.0)
         nearest = np.minimum(nearest, np.linalg.norm(points - start - along[:, None] * leg, axis=1))
     return nearest
 
@@ -84,12 +83,9 @@ def kept_corners(corners: ArrayLike, within: float) -> Ints:
         first, last = open_legs.pop()
         if last - first < 2:
             continue
-        along = given[last] - given[first]
-        between = given[first + 1 : last] - given[first]
         # A closed section has the length 0. The distance of its corners is then measured from the
         # first corner.
-        share = np.clip(between @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
-        off = np.linalg.norm(between - share[:, None] * along, axis=1)
+        off = path_distance(given[first + 1 : last], given[[first, last]])
         if off.max() > within:
             farthest = first + 1 + int(np.argmax(off))
             kept.add(farthest)
@@ -220,30 +216,29 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
     if suffix in (".json", ".fcsv"):
         note = "the control points of the curve are joined by straight lines"
         return Toolpath(read_curve(file), notes=(note,))
-    readers = {**dict.fromkeys(TABLES, _read_table), **dict.fromkeys(GCODE, _read_gcode)}
-    if suffix not in readers:
+    if suffix not in (*TABLES, *GCODE):
         raise InputError(
             "path",
             f"be a {', '.join(TABLES)}, .mrk.json, .fcsv or G-code file ({', '.join(GCODE)})",
             file,
             "rename or convert the file",
         )
-    is_program = suffix == ".txt" and _PROGRAM.search(decoded_text(file, "path"))
-    read = _read_gcode(file) if is_program else readers[suffix](file)
-    if len(read.points_mm) < 2:
+    feeds: Array | None
+    axes: Array | None = None
+    if suffix in GCODE or (suffix == ".txt" and _PROGRAM.search(decoded_text(file, "path"))):
+        points, feeds, notes = read_gcode(file)
+    else:
+        points, feeds, axes, notes = _read_table(file)
+    if len(points) < 2:
         raise InputError(
-            "path",
-            "have at least two points",
-            f"{len(read.points_mm)} in {file}",
-            "add points to the file",
+            "path", "have at least two points", f"{len(points)} in {file}", "add points to the file"
         )
     frame = TO_LPS[coordinates]
-    axes = None if read.axes is None else read.axes * frame
-    return Toolpath(read.points_mm * frame, read.feeds_mm_s, axes, read.notes)
+    return Toolpath(points * frame, feeds, None if axes is None else axes * frame, notes)
 
 
-def _read_table(file: Path) -> Toolpath:
-    """Read a text table, without conversion to LPS."""
+def _read_table(file: Path) -> tuple[Array, Array | None, Array | None, tuple[str, ...]]:
+    """Return points, speeds, axes and notes of a text table, as in `Toolpath` but not in LPS."""
     table = read_table(file, "path")
     require_distinct_columns(table.names, "path", file)
     notes = [*table.notes]
@@ -264,61 +259,33 @@ def _read_table(file: Path) -> Toolpath:
             column[name] = column[name] * (1e3 * UNITS[measure][unit] if unit else 1.0)
         if measure == "length" and unit != "mm":
             notes.append(f"{header} is read in {unit or 'mm, since its header names no unit'}")
-    _check_columns(column, table.names, file)
-    if left := [each for each in table.names if each not in used]:
-        notes.append(f"columns without a use: {', '.join(left[:12])}")
-    points = np.column_stack([column[name] for name in _PLACE])
-    return Toolpath(points, _feeds(column, file), _axes(column, file), tuple(notes))
-
-
-def _check_columns(column: dict[str, Array], names: tuple[str, ...], file: Path) -> None:
-    """Raise an error for missing columns."""
-    needed = (*_PLACE, *_AXIS) if any(name in column for name in _AXIS) else _PLACE
-    if missing := [name for name in needed if name not in column]:
+    has_axes = not column.keys().isdisjoint(_AXIS)
+    if missing := [each for each in (*_PLACE, *_AXIS[: 3 * has_axes]) if each not in column]:
         raise InputError(
             "path",
             f"have the columns {', '.join(missing)}",
-            f"{', '.join(names[:40])} in {file}",
+            f"{', '.join(table.names[:40])} in {file}",
             "rename the columns; another unit is written as in x_m or X [in]",
         )
-
-
-def _feeds(column: dict[str, Array], file: Path) -> Array | None:
-    """Return the speeds [mm/s], shape (n,); None for a table without speeds."""
+    if left := [each for each in table.names if each not in used]:
+        notes.append(f"columns without a use: {', '.join(left[:12])}")
     feeds = column.get(_FEED)
     if feeds is not None and (feeds[1:] <= 0.0).any():
         row = 1 + int(np.argmax(feeds[1:] <= 0.0))
-        raise InputError(
-            _FEED,
-            "be positive",
-            f"{feeds[row]:g} at point {row + 1} of {file}",
-            "use for example 2",
-        )
-    return feeds
-
-
-def _axes(column: dict[str, Array], file: Path) -> Array | None:
-    """Return the unit vectors along the tool, shape (n, 3); None for a table without axes."""
-    if _AXIS[0] not in column:
-        return None
-    axes = np.column_stack([column[name] for name in _AXIS])
-    length = np.linalg.norm(axes, axis=1)
-    # In a file with six decimals, such an axis is zero. Its direction would only be rounding
-    # errors.
-    if (length < 1e-6).any():
-        raise InputError(
-            "axis",
-            "not be zero",
-            f"(0, 0, 0) at point {int(np.argmin(length)) + 1} of {file}",
-            "fix this point of the file",
-        )
-    return np.asarray(axes / length[:, None])
-
-
-def _read_gcode(file: Path) -> Toolpath:
-    """Read G-code, in the frame of the file."""
-    points, feeds, notes = read_gcode(file)
-    return Toolpath(points, feeds, notes=notes)
+        got = f"{feeds[row]:g} at point {row + 1} of {file}"
+        raise InputError(_FEED, "be positive", got, "use for example 2")
+    axes: Array | None = None
+    if has_axes:
+        given = np.column_stack([column[name] for name in _AXIS])
+        length = np.linalg.norm(given, axis=1)
+        # In a file with six decimals, such an axis is zero. Its direction would only be rounding
+        # errors.
+        if (length < 1e-6).any():
+            got = f"(0, 0, 0) at point {int(np.argmin(length)) + 1} of {file}"
+            raise InputError("axis", "not be zero", got, "fix this point of the file")
+        axes = given / length[:, None]
+    points = np.column_stack([column[name] for name in _PLACE])
+    return points, feeds, axes, tuple(notes)
 
 
 POSE_COLUMNS = ("tool_x_mm", "tool_y_mm", "tool_z_mm", "tool_qx", "tool_qy", "tool_qz", "tool_qw")
@@ -360,20 +327,12 @@ class ReplayTable:
 
     def write(self, path: Path) -> None:
         """Write the CSV that ``motion.kind = "replay"`` reads."""
-        with (
-            whole_file(path) as temporary,
-            temporary.open("w", newline="", encoding="utf-8") as file,
-        ):
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(("time_s", *POSE_COLUMNS))
-            for time_s, tip, turn in zip(self.times_s, self.tips_mm, self.quaternions, strict=True):
-                writer.writerow(
-                    [
-                        f"{time_s:.6f}",
-                        *(f"{each:.6f}" for each in tip),
-                        *(f"{each:.9f}" for each in turn),
-                    ]
-                )
+        rows = zip(self.times_s, self.tips_mm, self.quaternions, strict=True)
+        texts = (
+            [f"{time_s:.6f}", *(f"{each:.6f}" for each in tip), *(f"{each:.9f}" for each in turn)]
+            for time_s, tip, turn in rows
+        )
+        write_rows(path, [("time_s", *POSE_COLUMNS), *texts])
 
 
 def to_replay(

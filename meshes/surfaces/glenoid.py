@@ -232,7 +232,7 @@ def _require_fit(width: float, height: float, depth: float, taper: float, radius
             "curvature_radius_mm",
             f"exceed half of height_mm ({500 * height:g})",
             f"{1e3 * radius:g}",
-            "use 35",
+            "use a value such as 35",
         )
     # If the face is closer to a circle, the half width does not increase with the upper radius, and
     # the bisection of `_pear` fails. For a ratio of height to width of 1.02, the bisection ends at
@@ -347,9 +347,21 @@ def surface_anatomy(
     """
     thickness, dense, sparse = require_ranges(
         # The ranges are wide. They exclude values in metres and in g/cm3.
-        ("cortical_thickness_mm", cortical_thickness_mm, 0.0, 10.0, "use 1.9"),
-        ("cortical_density_kg_m3", cortical_density_kg_m3, 50.0, 2500.0, "use 1800"),
-        ("trabecular_density_kg_m3", trabecular_density_kg_m3, 50.0, 2500.0, "use 350"),
+        ("cortical_thickness_mm", cortical_thickness_mm, 0.0, 10.0, "use a value such as 1.9"),
+        (
+            "cortical_density_kg_m3",
+            cortical_density_kg_m3,
+            50.0,
+            2500.0,
+            "use a value such as 1800",
+        ),
+        (
+            "trabecular_density_kg_m3",
+            trabecular_density_kg_m3,
+            50.0,
+            2500.0,
+            "use a value such as 350",
+        ),
     )
     shell = 1e-3 * thickness
 

@@ -14,8 +14,8 @@ from meshes.base.arrays import Array, Ints
 from meshes.base.errors import InputError
 from meshes.base.tables import decoded_text
 from meshes.base.text_tables import number_in, visible, whole_number_in
-from meshes.tets.quality import describe, repair_tets, require_cells
-from meshes.tets.tetrahedra import TetMesh
+from meshes.tets.quality import describe, repair_tets
+from meshes.tets.tetrahedra import TetMesh, require_cells
 
 _TRIANGLE = 2
 _TETRAHEDRON = 4

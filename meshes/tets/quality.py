@@ -34,6 +34,7 @@ from meshes.tets.tetrahedra import (
     pieces,
     pinched_edges,
     place,
+    require_cells,
     signed_volumes,
 )
 
@@ -251,25 +252,6 @@ def _movable(count: int, cells: Ints, parts: Bytes) -> Flags:
     np.minimum.at(lowest, cells, parts[:, None])
     np.maximum.at(highest, cells, parts[:, None])
     return inner & (lowest == highest)
-
-
-def require_cells(nodes: Array, cells: Ints) -> None:
-    """Raise an error if a cell refers to a node that does not exist or is not finite."""
-    if cells.min() < 0 or cells.max() >= len(nodes):
-        raise InputError(
-            "cells",
-            f"name nodes 0 to {len(nodes) - 1}",
-            f"{cells.min()} to {cells.max()}",
-            "write the mesh again",
-        )
-    bad = int((~np.isfinite(nodes[np.unique(cells)]).all(axis=1)).sum())
-    if bad:
-        raise InputError(
-            "nodes",
-            "be finite",
-            f"{bad} of {len(nodes)} nodes that are not finite",
-            "write the mesh again",
-        )
 
 
 def _require_no_overlap(nodes: Array, cells: Ints) -> None:

@@ -67,7 +67,7 @@ def nodes_facing(mesh: TetMesh, *, direction: Sequence[float], within_deg: float
         triangle's normal and the direction.
     """
     axis = require_direction("direction", direction)
-    within = require_range("within_deg", within_deg, 1.0, 180.0, "use 60")
+    within = require_range("within_deg", within_deg, 1.0, 180.0, "use a value such as 60")
     angle = np.degrees(np.arccos(np.clip(surface_normals(mesh) @ axis, -1.0, 1.0)))
     faces = mesh.surface[angle <= within]
     if not len(faces):

@@ -73,7 +73,7 @@ def graded(start_m: float, end_m: float, first_m: float, growth: float) -> Array
             "first_m", f"be in (0, {distance:g}]", first_m, "use a tenth of the distance"
         )
     if not growth >= 1.0:
-        raise InputError("growth", "be at least 1", growth, "use 1.2")
+        raise InputError("growth", "be at least 1", growth, "use a value such as 1.2")
     steps = [first_m]
     # The tolerance avoids an additional step because of rounding errors of the sum.
     while sum(steps) < distance * (1.0 - 1e-12):

@@ -118,6 +118,25 @@ def place(points_m: Array) -> str:
     return in_brackets(1e3 * points_m.mean(axis=0), ".3g")
 
 
+def require_cells(nodes: Array, cells: Ints) -> None:
+    """Raise an error if a cell refers to a node that does not exist or is not finite."""
+    if cells.min() < 0 or cells.max() >= len(nodes):
+        raise InputError(
+            "cells",
+            f"name nodes 0 to {len(nodes) - 1}",
+            f"{cells.min()} to {cells.max()}",
+            "write the mesh again",
+        )
+    bad = int((~np.isfinite(nodes[np.unique(cells)]).all(axis=1)).sum())
+    if bad:
+        raise InputError(
+            "nodes",
+            "be finite",
+            f"{bad} of {len(nodes)} nodes that are not finite",
+            "write the mesh again",
+        )
+
+
 _TETRA = 10
 """VTK cell type of a tetrahedron."""
 
@@ -153,25 +172,11 @@ class TetMesh:
     def __post_init__(self) -> None:
         if len(self.part) == 0 and len(self.cells):
             object.__setattr__(self, "part", np.zeros(len(self.cells), dtype=np.uint8))
-        if not np.isfinite(self.nodes_m).all():
-            bad = int(np.flatnonzero(~np.isfinite(self.nodes_m).all(axis=1))[0])
-            raise InputError(
-                "nodes_m",
-                "be finite",
-                f"node {bad} at {self.nodes_m[bad]}",
-                "repair this node or leave it out",
-            )
         if len(self.cells) == 0:
             raise InputError(
                 "cells", "hold at least one tetrahedron", "none", "mesh the surface first"
             )
-        if self.cells.min() < 0 or self.cells.max() >= len(self.nodes_m):
-            raise InputError(
-                "cells",
-                f"name nodes 0 to {len(self.nodes_m) - 1}",
-                f"{self.cells.min()} to {self.cells.max()}",
-                "number nodes from 0",
-            )
+        require_cells(self.nodes_m, self.cells)
         flat = int((self.volumes_m3 <= 0.0).sum())
         if flat:
             raise InputError(

@@ -128,7 +128,7 @@ class LabelledTooth:
             If the voxels are too small or too large, or no voxel lies in the tooth.
         """
         finest = (
-            require_positive("resample_mm", resample_mm, "use 0.1")
+            require_positive("resample_mm", resample_mm, "use a value such as 0.1")
             if resample_mm is not None
             else None
         )
@@ -141,7 +141,7 @@ class LabelledTooth:
                 "resample_mm",
                 "leave eight voxels across the tooth",
                 f"{1000.0 * size:g} for {1000.0 * sides.min():.3g} mm",
-                "use 0.1",
+                "use a value such as 0.1",
             )
         if region_m is not None:
             corners = np.stack(

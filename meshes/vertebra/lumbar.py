@@ -175,7 +175,7 @@ def lumbar_vertebra(**sizes: float) -> Anatomy:
             "pedicle_cortex_mm",
             f"be less than a third of pedicle_width_mm ({given.pedicle_width_mm:g})",
             f"{given.pedicle_cortex_mm:g}",
-            "use 1",
+            "use a value such as 1",
         )
     bone = _bone(half)
     canal = _canal(half)

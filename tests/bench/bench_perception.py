@@ -12,11 +12,11 @@ import argparse
 
 import numpy as np
 from harness import Cost, cost_of, machine, table
+from held_back import held_back
 
 import tissue
 from tissue.perception.laws import weber_of
 from tissue.perception.observer import Observer, population_observer
-from tissue.perception.perceived import held_back
 from tissue.simulation.builders.prediction import perception
 
 LIMIT_N, TICK_S = 3.3, 1e-3

@@ -266,12 +266,7 @@ def test_a_cache_entry_that_does_not_fit_is_made_again(entry, monkeypatch):
         ask()
     with np.load(path) as stored:
         held = {name: stored[name] for name in stored.files}
-    for change in (
-        {"a": held["a"] + 1.0},
-        {"a": held["a"].reshape(3, 2)},
-        {"c": held["a"]},
-        {"a": np.array([{}], dtype=object)},
-    ):
+    for change in ({"a": np.array([{}], dtype=object)}, dict.fromkeys(held, np.array("other"))):
         count = ask()
         np.savez(path, **(held | change))
         assert ask() == count + 1

@@ -35,7 +35,7 @@ def test_slots_are_apart_and_strips_hold_every_cell_once():
 @pytest.mark.parametrize("scalar, tolerance", [(wp.float64, DOUBLE), (wp.float32, SINGLE)])
 def test_product_is_that_of_the_cells_matrices_on_any_number_of_cores(scalar, tolerance):
     body = body_of(*ragged_block())
-    strips, count = body.cells.strips, body.grid.node_count
+    strips, count = body.cells, body.grid.node_count
     assert strips.regular.all()
     vector = np.random.default_rng(1).normal(size=(count, 3))
     found = []
@@ -71,7 +71,7 @@ def test_cells_of_other_particles_are_left_to_their_matrices():
         coarse.position_m,
     )
     body = body_of(coarse, grid)
-    assert 0.5 < body.cells.strips.regular.mean() < 0.8
+    assert 0.5 < body.cells.regular.mean() < 0.8
     body.set_remaining(np.arange(0, len(cell), 5), np.full(len(cell[::5]), 9000))
     body.update()
     live = np.arange(grid.cell_count) % 7 != 3

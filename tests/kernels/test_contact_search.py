@@ -36,16 +36,14 @@ def join(
     size: wp.vec2d,
     rows: wp.array2d(dtype=wp.float64),
     afresh: int,
-    count_out: wp.array(dtype=wp.int32),  # joined, missing
+    count_out: wp.array(dtype=wp.int32),  # joined
 ):
     """Let entered triangles join, or begin afresh from the points' forces."""
     pose = pose_of(rows)
     if afresh == 0:
-        joined, missing = join_touching(body, points, lists, patch, SPHERE, size, pose, 0)
-        count_out[0] = joined
-        count_out[1] = missing
+        count_out[0] = join_touching(body, points, lists, patch, SPHERE, size, pose)
     else:
-        count_out[1] = start_over(body, points, lists, patch, pose)
+        start_over(body, points, lists, patch, pose)
 
 
 class Scene:
@@ -107,10 +105,10 @@ class Scene:
         )
 
     def run(self, afresh):
-        out = wp.zeros(2, dtype=wp.int32, device="cpu")
+        out = wp.zeros(1, dtype=wp.int32, device="cpu")
         inputs = [self.body, self.points, self.lists, self.patch, self.size, self.rows, afresh]
         wp.launch(join, dim=1, inputs=inputs, outputs=[out], device="cpu")
-        return tuple(out.numpy().tolist())
+        return int(out.numpy()[0])
 
     def working(self):
         return self.lists.working.numpy()[: self.lists.count.numpy()[WORKING]]
@@ -153,7 +151,7 @@ def test_entered_triangles_join_with_the_responses_of_their_points(seed):
     place = np.einsum("pa,pax->px", weight, scene.nodes[scene.faces[triangle]])
     entered = np.unique(triangle[scene.distance(place) < 0.0])
     np.testing.assert_array_equal(np.sort(scene.working()), entered)
-    assert joined == ((len(entered), 0), (0, 0))
+    assert joined == (len(entered), 0)
     blocks = scene.compliance.reshape(len(scene.nodes), 3, -1, 3)
     response = scene.points.response.numpy()
     for point in np.flatnonzero(np.isin(triangle, entered)):
@@ -169,7 +167,7 @@ def test_entered_triangles_join_with_the_responses_of_their_points(seed):
     force = random.normal(size=(len(weight), 3)) * np.isin(triangle, carrying)[:, None]
     scene.points.force.assign(force)
     scene.find(0.0)
-    assert scene.run(1) == (0, 0)
+    assert scene.run(1) == 0
     np.testing.assert_array_equal(np.sort(scene.working()), np.sort(carrying))
     nodal = np.zeros_like(scene.nodes)
     for point in np.flatnonzero(force.any(axis=1)):

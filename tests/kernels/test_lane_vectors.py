@@ -25,7 +25,7 @@ def test_diagonal_and_its_inverse_follow_removal():
     finest, free = body._hierarchy.finest, ~body.supports.fixed
     exact = np.diag(dense_stiffness(body)).reshape(-1, 3)
     assert finest.diagonal.numpy() == pytest.approx(np.where(free, exact, 1.0), rel=1e-12)
-    inverse = finest._inverse.single.numpy()[:, body.cells.strips.layout.slot].T
+    inverse = finest._inverse.single.numpy()[:, body.cells.layout.slot].T
     there = free & (exact > 0.0)
     assert not inverse[~there].any()
     ratio = inverse[there] * exact[there]
@@ -35,7 +35,7 @@ def test_diagonal_and_its_inverse_follow_removal():
 def test_assumed_eigenvalue_is_above_the_largest():
     body = body_of(*ragged_block())
     body._hierarchy.refresh()
-    layout = body.cells.strips.layout
+    layout = body.cells.layout
     inverse = body._hierarchy.finest._inverse.single.numpy()[:, layout.slot].T.ravel()
     root = np.sqrt(inverse)
     values = np.linalg.eigvalsh(root[:, None] * dense_stiffness(body) * root)
@@ -50,8 +50,8 @@ def test_smoothing_multiplies_by_every_cell_wherever_its_particles_lie():
     """
     aside = np.arange(4 * 3 * 11) % 3 == 0
     body = body_of(*block((4, 3, 11), 1e-3, places=lattice(2) + 0.2 * aside[:, None, None]))
-    assert np.array_equal(body.cells.strips.regular, ~aside)
-    finest, slot = body._hierarchy.finest, body.cells.strips.layout.slot
+    assert np.array_equal(body.cells.regular, ~aside)
+    finest, slot = body._hierarchy.finest, body.cells.layout.slot
     vector = np.random.default_rng(2).normal(size=(body.grid.node_count, 3)).astype(np.float32)
     finest._direction.single.numpy()[:, slot] = vector.T
     finest._multiply()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from field_distance import half_space
 
 from kernels.proxy import (
     CENTRE,
@@ -15,7 +16,7 @@ from kernels.proxy import (
     STEPS,
     TRAVEL,
 )
-from tissue.haptics.proxy.proxy import ContactField, HalfSpace, Proxy, ToolShell
+from tissue.haptics.proxy.proxy import ContactField, Proxy, ToolShell
 
 EXACT_M = 1e-11
 """Tolerance [m] of the proxy next to solids, times the ten steps that a tick takes."""
@@ -29,7 +30,7 @@ def tick(device_m, *, friction=0.0, lever_m=None):
     The ball's centre lies off the tool's origin.
     """
     arm = np.array([1e-3, 2e-3, -1e-3])
-    field = ContactField(HalfSpace(np.zeros(3), NORMAL))
+    field = ContactField(half_space(np.zeros(3), NORMAL))
     shell = ToolShell.ball(RADIUS_M, centre_m=tuple(arm))
     proxy = Proxy(shell, field, friction=friction, lever_m=lever_m)
     proxy.place(START_M * NORMAL - arm)

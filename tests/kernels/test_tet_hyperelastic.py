@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from hyperelastic_law import energy as energy_of
 from hyperelastic_law import tangent as tangent_of
+from newton_press import NewtonSolver
 from scipy.spatial.transform import Rotation
 
 from meshes.tets.structured import box
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.newton import NewtonSolver
 from tissue.fem.space import Space
 from tissue.materials.hyperelasticity import Hyperelastic
 
@@ -34,7 +34,7 @@ VOLUME = 1e-6 / 6.0
 def shaken_body(name: str, order: int, seed: int = 0) -> NonlinearBody:
     mesh = box((0.02, 0.01, 0.01), (2, 1, 1))
     nodes = mesh.nodes_m + np.random.default_rng(seed).uniform(-1e-3, 1e-3, mesh.nodes_m.shape)
-    return NonlinearBody(Space(TetMesh(nodes, mesh.cells), order), None, law=LAWS[name])
+    return NonlinearBody(Space(TetMesh(nodes, mesh.cells), order), law=LAWS[name])
 
 
 def bent(body: NonlinearBody, seed: int) -> np.ndarray:
@@ -65,7 +65,7 @@ def test_one_tetrahedron_is_that_of_numpy(name):
         (0.3, 1.9, 1.7),
     ):
         gradients += [np.diag(stretch), turn @ np.diag(stretch), np.diag(stretch) @ turn]
-    body = NonlinearBody(Space(TetMesh(CORNERS, np.array([[0, 1, 2, 3]]))), None, law=law)
+    body = NonlinearBody(Space(TetMesh(CORNERS, np.array([[0, 1, 2, 3]]))), law=law)
     for f in gradients:
         moved = CORNERS @ (f - np.eye(3)).T
         energy, force = body.energy_and_force(moved)
@@ -93,7 +93,7 @@ def test_the_definite_tangent_has_the_magnitudes_of_the_eigenvalues(name):
     """
     law, random = LAWS[name], np.random.default_rng(7)
     turn = Rotation.random(rng=random).as_matrix()
-    body = NonlinearBody(Space(TetMesh(CORNERS, np.array([[0, 1, 2, 3]]))), None, law=law)
+    body = NonlinearBody(Space(TetMesh(CORNERS, np.array([[0, 1, 2, 3]]))), law=law)
     negative = 0
     for stretch in ((1.0, 1, 1), (0.4, 1.1, 0.9), (0.5, 0.5, 0.5), (3.0, 0.6, 0.6), (2.0, 0.5, 1)):
         f = turn @ np.diag(stretch) @ Rotation.random(rng=random).as_matrix()
@@ -155,7 +155,7 @@ def test_a_pulled_block_is_the_closed_form(name, kind, stretch):
     the force agrees to 1e-6.
     """
     space = Space(box((0.02, 0.02, 0.02), (2, 2, 2)))
-    body = NonlinearBody(space, None, law=LAWS[name])
+    body = NonlinearBody(space, law=LAWS[name])
     driven = [0] if kind == "uniaxial" else [0, 1]
     held, goal = np.abs(space.nodes_m) < 1e-9, np.zeros(space.nodes_m.shape)
     for axis in driven:
@@ -196,7 +196,7 @@ def test_a_sheared_block_is_the_closed_form(name):
     held = np.zeros(space.nodes_m.shape, dtype=bool)
     held[np.unique(space.faces)] = True
     solver, found = (
-        NewtonSolver(NonlinearBody(space, None, law=LAWS[name]), held, tolerance=1e-11),
+        NewtonSolver(NonlinearBody(space, law=LAWS[name]), held, tolerance=1e-11),
         None,
     )
     for share in (0.5, 1.0):

@@ -17,7 +17,7 @@ SPOILT = {
     "explicit_cutting": ("implicit", "explicit"),
     "thin_walls": ("end_m", None),
     "locking": ("quadratic_m", "linear_coarse_m"),
-    "large_rotation": ("corotational_pa", "linear_pa"),
+    "large_rotation": ("neo_hookean_pa", "linear_pa"),
     "bad_tetrahedra": ("repaired_condition", "condition"),
     "cut_cells": ("scaled", "bare_scaled"),
     "contrast": ("multigrid_8", "plain"),
@@ -59,6 +59,8 @@ def replaced(data, columns):
     }
 
 
+# The page on held tools has a single shift here. Its x axis then has no extent.
+@pytest.mark.filterwarnings("ignore:Attempting to set identical low and high xlims")
 @pytest.mark.parametrize(
     "page",
     [pytest.param(each, id=each.name, marks=marks(each)) for each in PAGES],

@@ -3,6 +3,8 @@
 The force stays bounded and does not stay stale.
 """
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -10,38 +12,55 @@ from tissue.haptics.device.device import Sample, device_parameters
 from tissue.haptics.device.recorded import Fault, FaultyDevice
 from tissue.haptics.device.sample_guard import SampleGuard
 from tissue.haptics.device.simulated import SimulatedDevice
-from tissue.haptics.hand.hand import Hand, hand_parameters, waypoints
+from tissue.haptics.hand.hand import Hand, HandAction, hand_parameters, waypoints
 from tissue.haptics.renderer import renderer
 from tissue.haptics.rigid_wall import press_wall
 from tissue.scene.registry import RENDERERS
 
 TICK, SECONDS, STIFFNESS_N_M = 1e-3, 1.2, 1500.0
 FAULT_S = (0.8, 0.9)
-KINDS = ("dropped", "late", "duplicated", "non-finite", "wild")
+FAULTS = [
+    Fault(kind, *FAULT_S, jump_m=jump_m)
+    for kind, jump_m in (
+        ("dropped", 0.0),
+        ("late", 0.0),
+        ("duplicated", 0.0),
+        ("jump", np.nan),
+        ("jump", 1e9),
+    )
+]
+NO_FAULT = Fault("dropped", SECONDS, SECONDS)
 
 
-def pressed(kind, faults=(), *, seconds=SECONDS, **hand):
+class LettingGo(Hand):
+    """Hand that releases the device after 0.8 s."""
+
+    def act(self, time_s, position_m):
+        return super().act(time_s, position_m) if time_s < 0.8 else HandAction()
+
+
+def pressed(kind, fault=NO_FAULT, *, seconds=SECONDS, hand=Hand):
     """Press 5 mm into a wall with a quiet expert's hand; run, guard, and the simulated device."""
     device = device_parameters("omni")
     path = waypoints([0.0, 1e-3], [[0.0, 0.0, 5e-3], [0.0, 0.0, -5e-3]])
-    holding = Hand(hand_parameters("expert"), path, rng=np.random.default_rng(7), **hand)
+    holding = hand(hand_parameters("expert"), path, rng=np.random.default_rng(7))
     simulated = SimulatedDevice(device, holding, position_m=(0.0, 0.0, 5e-3))
     guard = SampleGuard(force_limit_N=device.force_limit_N)
     law = renderer(kind, device.loop(STIFFNESS_N_M))
-    run = press_wall(FaultyDevice(simulated, faults), law, duration_s=seconds, guard=guard)
+    run = press_wall(FaultyDevice(simulated, fault), law, duration_s=seconds, guard=guard)
     return run, guard, simulated
 
 
 @pytest.mark.parametrize("kind", RENDERERS)
-@pytest.mark.parametrize("fault", KINDS)
+@pytest.mark.parametrize("fault", FAULTS, ids=str)
 def test_a_faulty_device_fades_and_comes_back(kind, fault):
-    run, guard, simulated = pressed(kind, [Fault(fault, *FAULT_S)])
+    run, guard, simulated = pressed(kind, fault)
     limit = device_parameters("omni").force_limit_N
     size = np.linalg.norm(run.force_N, axis=1)
     at = lambda seconds: int(seconds / TICK)  # noqa: E731
     assert np.isfinite(run.force_N).all() and size.max() <= limit * (1 + 1e-12)
     assert size[at(0.79)] > 0.3
-    if fault != "late":  # late ones are accepted again as long as they are young enough
+    if fault.kind != "late":  # late ones are accepted again as long as they are young enough
         assert not size[at(FAULT_S[0] + 0.03) : at(FAULT_S[1]) - 1].any(), "a stale force stays"
     assert size[at(1.15)] > 0.3, "the force does not come back"
     jumps = np.abs(np.diff(size[at(FAULT_S[0]) - 1 : at(FAULT_S[1])]))
@@ -58,7 +77,7 @@ def test_a_faulty_device_fades_and_comes_back(kind, fault):
 
 
 def test_one_missing_sample_takes_a_twentieth_of_the_force():
-    run, guard, _ = pressed("penalty", [Fault("dropped", 0.8, 0.801)])
+    run, guard, _ = pressed("penalty", Fault("dropped", 0.8, 0.801))
     assert guard.bad_ticks == 1
     size = np.linalg.norm(run.force_N, axis=1)
     assert size[800] == pytest.approx(0.95 * size[799], rel=1e-6)
@@ -71,7 +90,7 @@ def test_a_hand_that_lets_go_is_not_thrown_at(kind):
 
     The omni's own friction then stops the handle.
     """
-    run, _, simulated = pressed(kind, let_go_s=0.8)
+    run, _, simulated = pressed(kind, hand=LettingGo)
     held = run.force_N[799, 2]
     assert held > 0.3 and run.force_N[:, 2].max() <= 3.3
     assert not run.force_N[-100:].any()
@@ -90,7 +109,8 @@ def test_a_hand_that_lets_go_is_not_thrown_at(kind):
 )
 def test_a_jerk_of_60_N_stays_bounded_and_settles(kind, direction):
     jerk = 60.0 * np.array(direction)
-    run, _, _ = pressed(kind, push=lambda t: jerk if 0.7 <= t < 0.72 else 0.0 * jerk, seconds=2.5)
+    jerking = partial(Hand, push=lambda t: jerk if 0.7 <= t < 0.72 else 0.0 * jerk)
+    run, _, _ = pressed(kind, hand=jerking, seconds=2.5)
     assert np.linalg.norm(run.force_N, axis=1).max() <= 3.3 * (1 + 1e-12)
     assert np.abs(run.velocity_m_s).max() > 0.5, "it was no jerk"
     assert np.abs(run.position_m).max() < 0.3

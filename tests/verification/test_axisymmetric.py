@@ -6,6 +6,7 @@ geometry and energy alone, and with the tetrahedra of an organ.
 
 import numpy as np
 import pytest
+from newton_press import NewtonSolver, RigidSphere
 from spline_press import spline_press_N
 
 from meshes.base.errors import InputError
@@ -13,7 +14,6 @@ from meshes.tets.structured import graded, grid
 from tissue.fem import axisymmetric
 from tissue.fem.axisymmetric import LinearLaw, layer_mesh, press_forces
 from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.newton import NewtonSolver, RigidSphere
 from tissue.fem.space import Space
 from tissue.fitting.probe_laws import layer_scene, probe_curves
 from tissue.materials.constants import constants
@@ -154,7 +154,7 @@ def test_tetrahedra_of_an_organ_approach_the_same_force():
         held[space.nodes_m[:, 2] < -thickness + 1e-9] = True
         near = np.linalg.norm(space.nodes_m, axis=1) < 2.0 * radius
         top = np.flatnonzero((space.nodes_m[:, 2] > -1e-12) & near)
-        solver = NewtonSolver(NonlinearBody(space, None, law=law), held, tolerance=1e-5)
+        solver = NewtonSolver(NonlinearBody(space, law=law), held, tolerance=1e-5)
         penalty = 10.0 * solver.rest_diagonal.reshape(-1, 3)[top].mean(axis=1)
         ball = RigidSphere(top, penalty, radius_m=radius, centre_m=np.zeros(3), tolerance=1e-4)
         now, found = None, []

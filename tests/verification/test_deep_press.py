@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from newton_press import NewtonSolver, RigidSphere
 from pressed_deep import DEPTHS_M as SLAB_DEPTHS_M
 from pressed_deep import TURN, by_newton, moving_N, scene_of
 from scipy.sparse import csc_array, csr_array
@@ -16,7 +17,6 @@ from scipy.sparse.linalg import spsolve
 
 from meshes.tets.structured import graded, grid
 from tissue.fem.hyperelastic import NonlinearBody
-from tissue.fem.newton import NewtonSolver, RigidSphere
 from tissue.fem.space import Space
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.simulation.simulate import simulate
@@ -58,7 +58,7 @@ def our_presses(
     """
     law = Hyperelastic.neo_hookean(SHEAR_PA, bulk_Pa=BULK_PA)
     solver, top = (
-        NewtonSolver(NonlinearBody(space, None, law=law), held, tolerance=1e-6),
+        NewtonSolver(NonlinearBody(space, law=law), held, tolerance=1e-6),
         under(space),
     )
     penalty = 10.0 * solver.rest_diagonal.reshape(-1, 3)[top].mean(axis=1)

@@ -9,15 +9,16 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from field_distance import half_space
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from tissue.haptics.proxy.proxy import Box, ContactField, HalfSpace, Proxy, ToolShell
+from tissue.haptics.proxy.proxy import Box, ContactField, Proxy, ToolShell
 from tissue.motion.quaternion import turn_between
 
 EXACT = 1e-9
 STIFFNESS = 1000.0
-PLANE = HalfSpace((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+PLANE = half_space((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 STILL = np.zeros(3)
 
 
@@ -46,7 +47,9 @@ def walk(proxy, *corners, feed=1e-4, quaternion=None):
 def test_plane_pushes_back_with_stiffness_times_depth():
     """F = K d (case 23), along the normal, for a plane that lies askew."""
     normal = at(1.0, 2.0, 3.0) / np.sqrt(14.0)
-    proxy = point_on(HalfSpace((0.01, 0.0, 0.0), normal), start=at(0.01, 0.0, 0.0) + 0.002 * normal)
+    proxy = point_on(
+        half_space((0.01, 0.0, 0.0), normal), start=at(0.01, 0.0, 0.0) + 0.002 * normal
+    )
     for depth in (1e-5, 1e-3, 7e-3):
         device = at(0.01, 0.0, 0.0) - depth * normal + np.cross(normal, at(1e-3, 2e-3, 0.0))
         result = proxy.advance(device)
@@ -62,7 +65,7 @@ def test_inner_corner_of_two_and_three_planes():
     In a concave right angle it is the device with each negative coordinate set to 0 (Zilles and
     Salisbury).
     """
-    planes = [HalfSpace((0.0, 0.0, 0.0), normal) for normal in np.eye(3)]
+    planes = [half_space((0.0, 0.0, 0.0), normal) for normal in np.eye(3)]
     for count in (2, 3):
         proxy = point_on(*planes[:count], start=(1e-3, 2e-3, 1e-3))
         for device in np.random.default_rng(count).uniform(-5e-3, 5e-3, (60, 3)):

@@ -1,14 +1,17 @@
 """Tests of a study against published worked data and against other codes."""
 
 import csv
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from meshes.base.errors import InputError
 from tissue.evaluation.statistics.comparison import tukey_tests
 from tissue.evaluation.statistics.hpi import composite_index, weights_of
-from tissue.evaluation.statistics.hypothesis_test import cohens_d, partial_eta_squared
+from tissue.evaluation.statistics.hypothesis_test import Effect, cohens_d, partial_eta_squared
 from tissue.evaluation.statistics.mixed import mixed_model
 from tissue.evaluation.statistics.sign_flips import sign_test
 from tissue.evaluation.statistics.strata import (
@@ -182,6 +185,22 @@ def test_groups_of_plants_by_strata_and_by_sign_flips():
     assert welch.pvalue < found.p < 3.0 * welch.pvalue + 0.003
 
 
+def test_sign_flips_of_few_users_are_exact():
+    """Fisher (1935) on Darwin's plants, for eight pairs: all 256 changes of signs."""
+    differences = np.array([6.125, -8.375, 1.0, 2.0, 0.75, 2.875, 3.5, 5.125])
+    found = sign_test(
+        differences[:, None], np.zeros(8, dtype=int), between=False, rng=np.random.default_rng(0)
+    )
+    signs = np.array(list(product([1.0, -1.0], repeat=8)))
+    # the sum of squares is fixed, so that the t statistic grows with the sum
+    sums = np.abs((signs * differences).sum(axis=1))
+    assert found.p == (sums >= abs(differences.sum()) - 1e-9).mean()
+    three = sign_test(
+        np.array([[1.0], [2.0], [4.0]]), np.zeros(3, dtype=int), between=False, rng=None
+    )
+    assert three.p == 0.25
+
+
 def test_effects_by_their_definitions():
     first, second = np.array([2.0, 4.0, 6.0, 8.0]), np.array([1.0, 3.0, 4.0, 6.0])
     assert cohens_d(first, second).value == pytest.approx(1.5 / np.sqrt((20.0 + 13.0) / 6.0))
@@ -332,11 +351,24 @@ def test_weights_of_an_index_by_hand():
     assert weights == pytest.approx([0.5, 0.5, 0.0], abs=1e-12) and loadings.sum() > 0.0
 
 
+def test_an_index_needs_users_who_differ():
+    rng = np.random.default_rng(0)
+    with pytest.raises(InputError, match="users must be at least two in each group, got 1"):
+        composite_index(table_of(users=1), DIRECTIONS, rng=rng)
+    rows = rows_of(users=2, groups=("expert",))
+    # The time of a user is equal in all trials, so it is constant if a user is drawn twice.
+    table = TrialTable.from_rows([row | {"time_s": float(row["user"][1:])} for row in rows])
+    with pytest.raises(InputError, match="time_s must vary in every bootstrap sample"):
+        composite_index(table, DIRECTIONS | {"time_s": -1}, rng=rng)
+
+
 def test_an_index_orders_what_was_planted():
     found = composite_index(table_of(users=10), DIRECTIONS, rng=np.random.default_rng(5))
     assert sum(each.value for each in found.weights) == pytest.approx(1.0, abs=1e-12)
     assert all(each.low <= each.value <= each.high for each in found.weights)
     means = {each.name: each.value for each in found.means}
+    # without a sign of a rounded zero
+    assert "-0.00" not in replace(found, means=(Effect("hold", -1e-9, -1e-9, 0.0),)).sentence
     # the order they were planted in
     assert means["energy"] < means["koopman"] < means["penalty"] < means["perception"]
     assert (

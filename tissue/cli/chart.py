@@ -1,7 +1,9 @@
 """``tissue chart``."""
 
-from collections.abc import Sequence
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from tissue.cli.terminal import Flag, MaybeWhole, console, left_out
 from tissue.system.progress import progress
@@ -41,48 +43,38 @@ def chart(
     overwrite
         Replace the charts that the folder already holds.
     """
+    measure: Callable[..., Any]
+    lines: Callable[[Any], list[str]]
     if what[:1] == ("prediction",):
         left_out("with prediction", "remove it", quick=quick)
-        folder = out or Path("charts/prediction")
-        runs = TRIALS if trials is None else trials
-        _prediction(
-            what[1:] or TASKS, folder, trials=runs, file=predictor_file, overwrite=overwrite
+        from tissue.evaluation.charts.prediction import (
+            chart_prediction,
+            comparison_lines,
+            predictable,
         )
-        return
-    left_out(
-        "unless predictors are charted",
-        "add prediction before the scenes, or remove it",
-        trials=trials,
-        predictor_file=predictor_file,
-    )
-    _scenes(what, out or Path("charts"), quick=quick, overwrite=overwrite)
+        from tissue.scene.load import load_scene
 
+        folder = out or Path("charts/prediction")
+        able, notes = predictable([load_scene(name) for name in what[1:] or TASKS], predictor_file)
+        count = TRIALS if trials is None else trials
+        measure = partial(chart_prediction, able, folder, trials=count, file=predictor_file)
+        lines = comparison_lines
+    else:
+        left_out(
+            "unless predictors are charted",
+            "add prediction before the scenes, or remove it",
+            trials=trials,
+            predictor_file=predictor_file,
+        )
+        from tissue.evaluation.charts.scenes import chart_lines, chart_scenes, notes_before
 
-def _scenes(names: Sequence[str], folder: Path, *, quick: bool, overwrite: bool) -> None:
-    """Run `tissue chart [SCENE ...]`."""
-    from tissue.evaluation.charts.scenes import chart_lines, chart_scenes, notes_before
-
-    for note in notes_before(names):
-        console.print(note)
-    with progress() as report:
-        found = chart_scenes(names, folder, quick=quick, overwrite=overwrite, report=report)
-    console.print(*chart_lines(found), sep="\n")
-    console.print(f"pictures and tables in {folder}")
-
-
-def _prediction(
-    scenes: Sequence[str], folder: Path, *, trials: int, file: Path | None, overwrite: bool
-) -> None:
-    """Run `tissue chart prediction`."""
-    from tissue.evaluation.charts.prediction import chart_prediction, comparison_lines, predictable
-    from tissue.scene.load import load_scene
-
-    able, notes = predictable([load_scene(name) for name in scenes], file)
+        folder = out or Path("charts")
+        notes = notes_before(what)
+        measure = partial(chart_scenes, what, folder, quick=quick)
+        lines = chart_lines
     for note in notes:
         console.print(note)
     with progress() as report:
-        found = chart_prediction(
-            able, folder, trials=trials, file=file, overwrite=overwrite, report=report
-        )
-    console.print(*comparison_lines(found), sep="\n")
+        found = measure(overwrite=overwrite, report=report)
+    console.print(*lines(found), sep="\n")
     console.print(f"pictures and tables in {folder}")

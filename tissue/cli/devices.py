@@ -8,7 +8,7 @@ from tissue.cli.terminal import ADDRESS, Flag, console, left_out, problems
 
 if TYPE_CHECKING:
     from tissue.haptics.real.adapter import FoundDevice
-    from tissue.haptics.real.self_test import SelfTest
+    from tissue.haptics.real.self_test import SelfTest, Spread
 
 
 def devices(
@@ -138,24 +138,19 @@ def _test(
 def _lines(measured: "SelfTest") -> list[str]:
     from math import isfinite
 
-    def ms(middle: float, most: float) -> str:
-        return (
-            f"{1e3 * middle:.3f} ms, 99 % {1e3 * most:.3f} ms"
-            if isfinite(middle)
-            else "not shown by this device"
-        )
+    def ms(found: "Spread") -> str:
+        if not isfinite(found.median_s):
+            return "not shown by this device"
+        return f"{1e3 * found.median_s:.3f} ms, 99 % {1e3 * found.most_s:.3f} ms"
 
     return [
         (
             f"samples           {measured.samples} in {measured.seconds:g} s, "
             f"{measured.rate_Hz:.0f} Hz"
         ),
-        (
-            f"interval          {ms(measured.interval_s, measured.interval_99_s)}, max "
-            f"{1e3 * measured.longest_s:.3f} ms"
-        ),
-        f"calls             {ms(measured.call_s, measured.call_99_s)}",
-        f"round trip        {ms(measured.round_trip_s, measured.round_trip_99_s)}",
+        (f"interval          {ms(measured.interval)}, max {1e3 * measured.longest_s:.3f} ms"),
+        f"calls             {ms(measured.call)}",
+        f"round trip        {ms(measured.round_trip)}",
     ]
 
 

@@ -89,22 +89,6 @@ def open_streams() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def has_working_folder() -> bool:
-    """Return whether the working directory exists."""
-    try:
-        os.getcwd()
-    except FileNotFoundError:
-        return False
-    return True
-
-
-def leave_pipe() -> NoReturn:
-    """End the command with exit code `PIPE_CLOSED`, because no program reads its output."""
-    nothing = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nothing, 1)  # discards buffered output
-    sys.exit(PIPE_CLOSED)
-
-
 def _default(value: object) -> str | None:
     """Return the text of a default for the help; None for no default, or for False."""
     return None if value is None or value is False or value in ((), "") else str(value)
@@ -138,7 +122,9 @@ def main() -> NoReturn:
     after Ctrl-C and 143 after SIGTERM.
     """
     open_streams()
-    if not has_working_folder():
+    try:
+        os.getcwd()
+    except FileNotFoundError:
         _refuse(
             "the working directory must exist, got one that was removed: change to another "
             "directory"
@@ -162,7 +148,9 @@ def main() -> NoReturn:
             raise
         _refuse(str(error))
     except BrokenPipeError:
-        leave_pipe()
+        # No program reads the output, so the buffered output is discarded.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        sys.exit(PIPE_CLOSED)
     except OSError as error:
         if error.errno not in FULL + CLOSED:
             # An error without a file is a fault of the program, not of the disk.
@@ -197,13 +185,19 @@ def main() -> NoReturn:
 
 @contextmanager
 def _plain_warnings() -> Iterator[None]:
-    """Show warnings of this program as one line, without the code location."""
+    """Show warnings of this program as one line, without the code location.
+
+    Notes on keys without effect are shown after the command, and not together with an error.
+    """
+    notes: list[str] = []
     with warnings.catch_warnings():
         others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
             """Print a warning of this program; pass other warnings to the interpreter."""
             # compared by name, since help does not import their modules
+            if category.__name__ == "DroppedKeyWarning":
+                return notes.append(str(message))
             if category.__name__ not in ("PluginWarning", "OldSceneWarning", "BreachWarning"):
                 return others(message, category, *where, **more)
             from rich.markup import escape
@@ -211,7 +205,13 @@ def _plain_warnings() -> Iterator[None]:
             problems.print(f"[yellow]warning:[/yellow] {escape(str(message))}", markup=True)
 
         warnings.showwarning = show
-        yield
+        try:
+            yield
+        finally:
+            # A command without an error ends with SystemExit.
+            if not isinstance(sys.exception(), Exception):
+                for note in notes:
+                    problems.print(f"note: {note}")
 
 
 def _print_offered() -> None:

@@ -42,12 +42,8 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
     if heat := summary.get("bone_heat"):
         rises = f"{heat['largest_rise_K']:.1f} / {heat['rise_at_half_mm_K']:.2f} K"
         rows.append(("rise of the remaining bone, largest / 0.5 mm from the cut", rises))
-    rows += _scheduling_rows(summary)
     if "late_us" in summary:
-        late = summary["late_us"]
-        times = f"{late['median']:.0f} / {late['p99']:.0f} / {late['max']:.0f} µs"
-        rows.append(("delay of ticks, median / 99 % / max", times))
-        rows.append(("wall clock skipped", f"{summary['skipped_ms']:.1f} ms"))
+        rows += _rows_by_clock(summary)
     rows.append(("writing files and pictures", f"{saving_s:.1f} s"))
     done = f"{summary['scene']}: {summary['simulated_s']:g} s simulated in {wall_s:.1f} s"
     print_table(("quantity", "value"), rows, caption=done)
@@ -61,10 +57,8 @@ def print_summary(summary: "Summary", folder: Path, *, wall_s: float, saving_s: 
     console.print(f"files in {folder}")
 
 
-def _scheduling_rows(summary: "Summary") -> Iterator[tuple[str, str]]:
-    """Yield rows (title, text) on the scheduling of a run in real time."""
-    if "late_us" not in summary:
-        return
+def _rows_by_clock(summary: "Summary") -> Iterator[tuple[str, str]]:
+    """Yield rows (title, text) on the scheduling and the delays of a run in real time."""
     if (gaps := summary.get("machine_gaps")) is not None:
         gap = f"scheduling gaps longer than {1e-3 * gaps['least_us']:g} ms"
         yield f"{gap} (expected in this run)", f"{gaps['expected_in_ticks']:.0f}"
@@ -78,6 +72,10 @@ def _scheduling_rows(summary: "Summary") -> Iterator[tuple[str, str]]:
         yield "kernel launches on several cores", f"{large}, {chosen['cores']} cores"
         if "background" in chosen:
             yield "during the ticks", chosen["background"]
+    late = summary["late_us"]
+    times = f"{late['median']:.0f} / {late['p99']:.0f} / {late['max']:.0f} µs"
+    yield "delay of ticks, median / 99 % / max", times
+    yield "wall clock skipped", f"{summary['skipped_ms']:.1f} ms"
 
 
 def _ends(figures: dict[str, dict[str, float]], unit: str) -> str:
@@ -101,7 +99,8 @@ class SceneOptions:
         uncertainty band.
     duration_s
         Simulated time in seconds. Default: the duration of the motion. If a simulated hand moves
-        the tool, the reaction time of the hand (less than 1 s) is added.
+        the tool and the time reaches the end of the motion, 0.73 s (expert) to 0.9 s (novice) are
+        added, in which the hand reacts and comes to rest.
     set_
         KEY=VALUE replaces an entry of the scene, such as voxels.spacing_mm=0.2; may be repeated.
     fidelity
@@ -244,8 +243,10 @@ def run(
     scene
         Name of a built-in scene (see `tissue scenes`), or a TOML file.
     """
+    from tissue.scene.load import load_scene
     from tissue.simulation.run_folder import RunFolder, picture_format
     from tissue.simulation.trace import check_format
+    from tissue.system.offscreen import await_display
 
     for kind in files.format_:
         check_format(kind)
@@ -254,11 +255,13 @@ def run(
     overrides = _overrides(scene_options)
     how = _live_settings(live, scene_options.duration_s)
     by_hand = live.web or live.slicer_drives
-    loaded = _load(scene, overrides, live=live.live, by_hand=by_hand)
+    # A person moves the tool in a browser, in 3D Slicer or, if there is a display, in a window.
+    is_driven = live.live and (by_hand or await_display() is None)
+    loaded = load_scene(scene, overrides, live=is_driven)
     seed = scene_options.seed
     # otherwise the seed is used only for the band
     if seed is not None and (band.band is None or loaded.device is not None):
-        loaded = _load(scene, overrides | {"seed": seed}, live=live.live, by_hand=by_hand)
+        loaded = load_scene(scene, overrides | {"seed": seed}, live=is_driven)
     _refuse_unused(loaded, engine)
     _check_band(loaded, band, live=live.live)
     folder = files.out or Path("runs") / loaded.name
@@ -310,18 +313,6 @@ def _overrides(options: SceneOptions) -> dict[str, Any]:
     if options.duration_s is not None:
         overrides["duration_s"] = options.duration_s
     return overrides
-
-
-def _load(scene: str, overrides: dict[str, Any], *, live: bool, by_hand: bool) -> "Scene":
-    """Load the scene with the options applied.
-
-    `live` is True for a run in real time. Its tool is moved in a browser or in 3D Slicer if
-    `by_hand` is True. Otherwise it is moved in a window if there is a display.
-    """
-    from tissue.scene.load import load_scene
-    from tissue.system.offscreen import await_display
-
-    return load_scene(scene, overrides, live=live and (by_hand or await_display() is None))
 
 
 def _live_settings(options: LiveOptions, duration_s: float | None) -> "LiveSettings | None":

@@ -129,6 +129,7 @@ def report(
     *,
     out: Path | None = None,
     against: Path | None = None,
+    force_limit_n: Annotated[float | None, Parameter(name="--force-limit-N")] = None,
     overwrite: Flag = False,
 ) -> None:
     """Write a report on a run as one HTML file, which needs no network.
@@ -142,13 +143,27 @@ def report(
     against
         Folder of a reference run. If it is given, the report also contains a comparison with this
         run, as `tissue assess` makes it.
+    force_limit_n
+        With --against: force that should not be exceeded, in newtons; default 1.25 times the peak
+        force of the reference run.
     overwrite
         Replace an existing file.
     """
     from tissue.objects.run import report as write
 
+    if against is None:
+        left_out(
+            "without --against", "give --against DIR, or remove it", force_limit_N=force_limit_n
+        )
     with progress() as shown:
-        written = write(folder, out, against=against, overwrite=overwrite, progress=shown)
+        written = write(
+            folder,
+            out,
+            against=against,
+            force_limit_N=force_limit_n,
+            overwrite=overwrite,
+            progress=shown,
+        )
     console.print(f"{written}: {written.stat().st_size / 1e6:.1f} MB")
 
 

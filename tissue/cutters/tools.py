@@ -73,8 +73,10 @@ def twist_drill(
     constant rake. `helix_deg` is the helix angle of the flutes, 0 to 60 degrees. For the other
     parameters see `ball_burr`.
     """
-    angle = radians(require_range("point_angle_deg", point_angle_deg, 60.0, 170.0, "use 118"))
-    helix = radians(require_range("helix_deg", helix_deg, 0.0, 60.0, "use 30"))
+    angle = radians(
+        require_range("point_angle_deg", point_angle_deg, 60.0, 170.0, "use a value such as 118")
+    )
+    helix = radians(require_range("helix_deg", helix_deg, 0.0, 60.0, "use a value such as 30"))
     if web_mm is not None:
         require_range("web_mm", web_mm, 0.0, 0.5 * diameter_mm, "use 18 % of the diameter")
     _require_longer(length_mm, 0.5 * diameter_mm / tan(0.5 * angle), "the height of its point")

@@ -1,7 +1,6 @@
 """Environment for drilling through the enamel of a molar and stopping in the dentin."""
 
 from functools import cached_property
-from os import PathLike
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,7 @@ from meshes.tooth.molar import molar
 from meshes.voxels.volume import VoxelVolume
 from meshes.voxels.voxelise import voxelise
 from tissue.cutters import ball_burr
-from tissue.environments.environment import ContactEnvironment, Entry, RestorableBone
-from tissue.models.bone.model import BoneModel
+from tissue.environments.environment import BoneEnvironment, Entry
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.thrust import SpeedSearch, implicit_speed
 
@@ -52,7 +50,7 @@ The pulp lies 3 mm below the junction of enamel and dentin.
 """
 
 
-class Drilling(ContactEnvironment):
+class Drilling(BoneEnvironment):
     """Drill through the enamel of a molar, stop 0.5 mm into the dentin, and withdraw.
 
     A round bur of 1 mm diameter at 400,000 revolutions per minute moves straight down. The
@@ -81,11 +79,8 @@ class Drilling(ContactEnvironment):
 
     Parameters
     ----------
-    materials
-        File of constants that replace the built-in constants, in the format that `tissue fit`
-        writes.
     options
-        As for `ContactEnvironment`.
+        As for `BoneEnvironment`.
     """
 
     entries = (
@@ -115,9 +110,10 @@ class Drilling(ContactEnvironment):
     balances = True
     episode = ("_speed", "_deepest_m", "_before", "_thrust", "_top_m", "_searches", "_search")
 
-    def __init__(self, *, materials: str | PathLike[str] | None = None, **options: Any) -> None:
+    cutter = ball_burr(diameter_mm=BUR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
+
+    def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        self._materials = materials
         self.surface_m = self.wanted_m = self._speed = self._deepest_m = 0.0
         self._before = self._thrust = self._top_m = 0.0
         self._searches = False
@@ -128,21 +124,8 @@ class Drilling(ContactEnvironment):
         """Voxels of the crown around its fossa."""
         return voxelise(molar(), spacing_m=SPACING_M, region_m=(REGION_M[0], REGION_M[1]))
 
-    @cached_property
-    def bone(self) -> RestorableBone:
-        """Tooth under the bur, created at the first reset and restored at each reset."""
-        bur = ball_burr(diameter_mm=BUR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
-        return RestorableBone(
-            self.volume, bur, shell_spacing_m=SPACING_M, materials=self._materials
-        )
-
-    @property
-    def model(self) -> BoneModel:
-        """Model of the crown under the bur."""
-        return self.bone.model
-
     def _prepare(self) -> None:
-        self.bone.restore(
+        self.restore_bone(
             {name: self.drawn[f"{name}_density_kg_m3"] for name in ("enamel", "dentin")}
         )
         self._place_m = np.array([1e-3 * self.drawn["x_mm"], 1e-3 * self.drawn["y_mm"]])
@@ -270,14 +253,16 @@ class Drilling(ContactEnvironment):
         return withdrawn or self._deepest_m - self.wanted_m >= TOO_DEEP_M
 
     def _observe(self) -> Singles:
-        removed = 1e9 * float(self.bone.model.removed_m3.sum())
+        removed = 1e9 * float(self.model.removed_m3.sum())
         depths = 1e3 * self.depth_m, 1e3 * self._deepest_m
         return self._scaled(*depths, 1e3 * self._speed, *self._loads_shown, removed, self.time_left)
 
     def _facts(self) -> dict[str, Any]:
+        volumes_mm3 = (1e9 * self.model.removed_m3).tolist()
+        removed = dict(zip(self.model.layer_names, volumes_mm3, strict=True))
         return {
             "depth_mm": 1e3 * self.depth_m,
             "deepest_mm": 1e3 * self._deepest_m,
             "wanted_mm": 1e3 * self.wanted_m,
-            "removed_mm3": {name: self.bone.removed_mm3(name) for name in ("enamel", "dentin")},
+            "removed_mm3": {name: removed[name] for name in ("enamel", "dentin")},
         }

@@ -1,4 +1,4 @@
-"""Base of the environments: bone that can be restored, ticks, observation and reward."""
+"""Bases of the environments: ticks, observation and reward, and bone that can be restored."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -14,12 +14,12 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike
 
-from meshes.base.arrays import Array, Flags, Ints, Singles
+from meshes.base.arrays import Array, Singles
 from meshes.base.errors import InputError, require_positive, require_range
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.materials.scene_constants import Materials
-from tissue.models.bone.bricks import voxels_of
+from tissue.models.bone.model import BoneModel
 from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import TICK_S, Response, TissueModel, ToolMotion
 from tissue.motion.motion import Motion
@@ -27,90 +27,6 @@ from tissue.scene.used_constants import used_of_cutting
 from tissue.simulation.builders.arguments import given_note
 from tissue.simulation.builders.cutting import VoxelBone
 from tissue.simulation.loop import Stepper
-
-LAYER_BITS = 255
-"""Mask of the layer in the material word of a voxel.
-
-The upper half of the word is the density [kg/m3].
-"""
-
-
-class RestorableBone:
-    """Voxels that a cutter removes, and that `restore` resets to their state before any cut.
-
-    Parameters
-    ----------
-    volume
-        Voxels of the bone with their layers.
-    cutter
-        Cutter of the environment.
-    shell_spacing_m
-        Distance between the cutting elements of the cutter [m].
-    materials
-        File of constants that replace the built-in constants; None for the built-in constants.
-
-    Attributes
-    ----------
-    model
-        Model of the bone under the cutter.
-    """
-
-    def __init__(
-        self,
-        volume: VoxelVolume,
-        cutter: Cutter,
-        *,
-        shell_spacing_m: float,
-        materials: str | PathLike[str] | None = None,
-    ) -> None:
-        self.volume = volume
-        given = Materials.of(materials)
-        layers = volume.layer_names
-        used = used_of_cutting(given, layers, bone="bone", stated={}, has_reference_density=False)
-        given_note(given, used, layers=layers, by="environment")
-        # The material applies to layers that have no coefficients of their own. Environments run in
-        # parallel, so each one uses one core.
-        bone = VoxelBone(volume, given.coefficients(layers, {}, bone="bone"))
-        self.model = bone.model(cutter, shell_spacing_m=shell_spacing_m, cores=1)
-        self._uncut = self.model.state()
-        self._filled = self.model.store.remaining.numpy().copy()
-        self._material = self.model.store.material.numpy()
-        self._layer = self._material & LAYER_BITS
-
-    def restore(self, density_kg_m3: Mapping[str, float]) -> None:
-        """Restore the bone before any cut, and set the densities [kg/m3] of the given layers."""
-        store = self.model.store
-        self.model.restore(self._uncut)
-        density = self._material >> 16
-        for name, value in density_kg_m3.items():
-            density[self._layer == store.grid.layer_names.index(name)] = round(value)
-        np.copyto(self._material, density << 16 | self._layer)
-
-    def removed_mm3(self, layer: str) -> float:
-        """Return the volume removed from a layer so far [mm3]."""
-        return 1e9 * float(self.model.removed_m3[self.model.layer_names.index(layer)])
-
-    def voxels(self, layer: str) -> tuple[Ints, Array]:
-        """Return the voxels of a layer that were full before any cut.
-
-        The result consists of indices into the flat array of stored voxels, and of the centres of
-        the voxels [m].
-        """
-        store = self.model.store
-        # The content of a voxel is stored in 16 bits; a full voxel has 65,535.
-        full = self._filled == np.iinfo(np.uint16).max
-        chosen = full & (self._layer == store.grid.layer_names.index(layer))
-        places, _ = voxels_of(store.places, np.arange(len(chosen)), chosen.astype(np.int64))
-        return np.flatnonzero(chosen), store.grid.origin_m + store.grid.spacing_m * (places + 0.5)
-
-    def left(self, at: Ints) -> Flags:
-        """Return a mask of the given voxels, True for a voxel that is at least half full.
-
-        `at` contains the indices of the voxels in the flat array of stored voxels.
-        """
-        stored = self.model.store.remaining.numpy().reshape(-1)
-        return np.asarray(stored[at] > np.iinfo(np.uint16).max // 2)
-
 
 FORCE_WEIGHT = 1.0
 """Penalty for an episode in which the force is always twice the limit."""
@@ -198,7 +114,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         self.force_limit_N = require_positive(
             "force_limit_N",
             self.usual_force_limit_N if force_limit_N is None else force_limit_N,
-            f"use {self.usual_force_limit_N:g}",
+            f"use a value such as {self.usual_force_limit_N:g}",
         )
         self.duration_s = require_range(
             "duration_s",
@@ -206,7 +122,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
             # An episode must last several steps. The limit of ten minutes detects typing errors.
             0.1,
             600.0,
-            f"use {self.usual_duration_s:g}",
+            f"use a value such as {self.usual_duration_s:g}",
         )
         self._steps = max(round(self.duration_s / (self.ticks * TICK_S)), 1)
         self._scales = np.concatenate([np.full(each.count, each.scale) for each in self.entries])
@@ -415,3 +331,61 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 def _force(wrench: Array) -> float:
     """Return the magnitude [N] of the force in a wrench."""
     return sqrt(wrench[:3].dot(wrench[:3]))
+
+
+LAYER_BITS = 255
+"""Mask of the layer in the material word of a voxel.
+
+The upper half of the word is the density [kg/m3].
+"""
+
+
+class BoneEnvironment(ContactEnvironment):
+    """Environment whose tool cuts voxels of bone.
+
+    Parameters
+    ----------
+    materials
+        File of constants that replace the built-in constants, in the format that `tissue fit`
+        writes.
+    options
+        As for `ContactEnvironment`.
+    """
+
+    cutter: ClassVar[Cutter]
+    """Cutter of the environment."""
+
+    def __init__(self, *, materials: str | PathLike[str] | None = None, **options: Any) -> None:
+        super().__init__(**options)
+        self._materials = materials
+
+    @property
+    @abstractmethod
+    def volume(self) -> VoxelVolume:
+        """Voxels of the bone with their layers."""
+
+    @cached_property
+    def model(self) -> BoneModel:
+        """Model of the bone under the cutter; made at the first reset."""
+        volume = self.volume
+        given = Materials.of(self._materials)
+        layers = volume.layer_names
+        used = used_of_cutting(given, layers, bone="bone", stated={}, has_reference_density=False)
+        given_note(given, used, layers=layers, by="environment")
+        # The material applies to layers that have no coefficients of their own. Environments run in
+        # parallel, so each one uses one core.
+        bone = VoxelBone(volume, given.coefficients(layers, {}, bone="bone"))
+        model = bone.model(self.cutter, shell_spacing_m=volume.spacing_m, cores=1)
+        self._uncut = model.state()
+        self._material = model.store.material.numpy()
+        return model
+
+    def restore_bone(self, density_kg_m3: Mapping[str, float]) -> None:
+        """Restore the bone before any cut, and set the densities [kg/m3] of the given layers."""
+        names = self.model.store.grid.layer_names
+        self.model.restore(self._uncut)
+        layer = self._material & LAYER_BITS
+        density = self._material >> 16
+        for name, value in density_kg_m3.items():
+            density[layer == names.index(name)] = round(value)
+        np.copyto(self._material, density << 16 | layer)

@@ -1,16 +1,15 @@
 """Environment for milling a pocket into cortical bone with a ball burr."""
 
 from functools import cached_property
-from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from meshes.base.arrays import Array, Ints, Singles
+from meshes.base.arrays import Array, Singles
 from meshes.voxels.volume import VoxelVolume, density_volume
 from tissue.cutters import ball_burr
-from tissue.environments.environment import ContactEnvironment, Entry, RestorableBone
-from tissue.models.bone.model import BoneModel
+from tissue.environments.environment import LAYER_BITS, BoneEnvironment, Entry
+from tissue.models.bone.bricks import voxels_of
 from tissue.models.tissue_model import Response, ToolMotion
 
 LAYERS = ("target", "tolerance", "spared")
@@ -41,7 +40,7 @@ The scripted expert removes 0.9 of the target in 4 s, 0.99 in 5.5 s and 0.999 in
 """
 
 
-class Milling(ContactEnvironment):
+class Milling(BoneEnvironment):
     """Mill a complete pocket into cortical bone, with low force and without overcut.
 
     A ball burr of 4 mm diameter rotates at 20,000 revolutions per minute above a block whose top is
@@ -71,11 +70,8 @@ class Milling(ContactEnvironment):
 
     Parameters
     ----------
-    materials
-        File of constants that replace the built-in constants, in the format that `tissue fit`
-        writes.
     options
-        As for `ContactEnvironment`.
+        As for `BoneEnvironment`.
     """
 
     entries = (
@@ -110,39 +106,31 @@ class Milling(ContactEnvironment):
     # than the tolerance, so overcut is possible.
     reach_mm = np.array([[-2.75, -1.75, -1.1], [2.75, 1.75, 2.0]])
 
-    def __init__(self, *, materials: str | PathLike[str] | None = None, **options: Any) -> None:
-        super().__init__(**options)
-        self._materials = materials
+    cutter = ball_burr(diameter_mm=BURR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
 
     @cached_property
-    def bone(self) -> RestorableBone:
-        """Bone of the block, created at the first reset and restored at each reset."""
-        burr = ball_burr(diameter_mm=BURR_MM, flutes=FLUTES, spin_rpm=SPIN_RPM)
-        block = _block(self.pocket_mm)
-        return RestorableBone(
-            block, burr, shell_spacing_m=1e-3 * SPACING_MM, materials=self._materials
-        )
-
-    @cached_property
-    def _target(self) -> tuple[Ints, Array]:
-        return self.bone.voxels("target")
+    def volume(self) -> VoxelVolume:
+        """Voxels of the block."""
+        return _block(self.pocket_mm)
 
     @cached_property
     def _target_mm3(self) -> float:
-        return 1e9 * float(self.bone.model.start_m3[0])
+        return 1e9 * float(self.model.start_m3[0])
 
     @property
     def tip_mm(self) -> Array:
         """Position of the tip of the burr [mm], shape (3,)."""
         return 1e3 * self.tool.tip_m
 
-    @property
-    def model(self) -> BoneModel:
-        """Model of the block under the burr."""
-        return self.bone.model
-
     def _prepare(self) -> None:
-        self.bone.restore(dict.fromkeys(LAYERS, self.drawn["density_kg_m3"]))
+        self.restore_bone(dict.fromkeys(LAYERS, self.drawn["density_kg_m3"]))
+        store = self.model.store
+        # Voxels of the target: the first layer, full before any cut. A full voxel has 65,535.
+        full = store.remaining.numpy() == np.iinfo(np.uint16).max
+        chosen = full & (self._material & LAYER_BITS == 0)
+        places, _ = voxels_of(store.places, np.arange(len(chosen)), chosen.astype(np.int64))
+        self._target = np.flatnonzero(chosen)
+        self._centres_m = store.grid.origin_m + store.grid.spacing_m * (places + 0.5)
 
     def begin(self, motion: ToolMotion) -> None:
         """Place the tip at the position that was drawn at random."""
@@ -165,7 +153,7 @@ class Milling(ContactEnvironment):
 
         Both volumes are divided by the volume of the target.
         """
-        target, _, spared = (1e9 * self.bone.model.removed_m3 / self._target_mm3).tolist()
+        target, _, spared = (1e9 * self.model.removed_m3 / self._target_mm3).tolist()
         return target, spared
 
     def _potential(self) -> dict[str, float]:
@@ -176,8 +164,9 @@ class Milling(ContactEnvironment):
         return self._shares()[0] >= DONE
 
     def _observe(self) -> Singles:
-        at, centres = self._target
-        left = centres[self.bone.left(at)]
+        stored = self.model.store.remaining.numpy().ravel()[self._target]
+        # A voxel that is at least half full belongs to the rest of the target.
+        left = self._centres_m[stored > np.iinfo(np.uint16).max // 2]
         away = left - self.tool.tip_m
         nearest = (
             1e3 * away[np.einsum("ij,ij->i", away, away).argmin()] if len(left) else np.zeros(3)

@@ -25,7 +25,11 @@ from tissue.evaluation.statistics.metrics import (
 from tissue.evaluation.steadiness import Steadiness, steadiness
 from tissue.haptics.device.device import device_parameters
 from tissue.materials.scene_constants import Materials
+from tissue.motion.motion import frame_along
+from tissue.scene.scene import Scene
+from tissue.scene.tool import ThrustMotion
 from tissue.simulation.bone_surface import tool_axes
+from tissue.simulation.findings import TOLERANCE_MM
 from tissue.simulation.run_folder import Summary
 from tissue.simulation.trace import Table
 
@@ -240,8 +244,8 @@ def assess(
     require_positive(
         "force_limit_N", limit, "use a reference that touches the tissue, or give --force-limit-N"
     )
-    require_positive("deviation_limit_mm", deviation_limit_mm, "use 1")
-    require_positive("overshoot_limit_mm", overshoot_limit_mm, "use 0.5")
+    require_positive("deviation_limit_mm", deviation_limit_mm, "use a value such as 1")
+    require_positive("overshoot_limit_mm", overshoot_limit_mm, "use a value such as 0.5")
     if not force.any():
         raise NoSharedContactError("touches nothing")
     if not ideal_force[rows].any():
@@ -276,6 +280,7 @@ def assess(
         "peak_force_N": {"trainee": float(force.max()), "reference": peak},
         "force_error": force_error(forces[followed], ideal_forces[rows][followed]),
         "overshoot_mm": overshoot_mm(depth, target_mm=deepest),
+        "removed_mm3": {"trainee": _removed_mm3(mine), "reference": _removed_mm3(theirs)},
         "least_distance_mm": {
             name: {
                 "trainee": each["least_distance_mm"],
@@ -353,10 +358,24 @@ def _steadiness(run: AssessedRun, trace: Table, scale: Materials) -> tuple[Stead
             trace.vectors("device_force", "N"),
             device_parameters(run.scene.device.kind, run.scene.constants),
             constants=scale,
+            scored=_drilling_ticks(run.scene, trace),
         )
     except InputError as refusal:
         return None, str(refusal)
     return found, ""
+
+
+def _drilling_ticks(scene: Scene, trace: Table) -> int:
+    """Return the number of ticks until the tip reaches `motion.depth_mm` under a thrust.
+
+    The hand of such a run then rests. For any other motion, all ticks are counted.
+    """
+    if not isinstance(scene.motion, ThrustMotion):
+        return len(trace.rows)
+    heading = -frame_along(scene.motion.axis)[:, 2]
+    depth_mm = trace.vectors("tool", "mm") @ heading
+    reached = np.flatnonzero(depth_mm >= scene.motion.depth_mm - TOLERANCE_MM)
+    return int(reached[0]) if len(reached) else len(trace.rows)
 
 
 def _keep_clear(summary: Summary, trace: Table) -> dict[str, dict[str, float | None]]:
@@ -380,6 +399,11 @@ def _keep_clear(summary: Summary, trace: Table) -> dict[str, dict[str, float | N
             "first_breach_s": first_s,
         }
     return found
+
+
+def _removed_mm3(trace: Table) -> float:
+    """Return the volume of tissue that a run removed [mm3]; zero if the tool removes no tissue."""
+    return float(trace["removed_mm3"][-1]) if "removed_mm3" in trace.columns else 0.0
 
 
 def _contact_s(trace: Table) -> float:

@@ -30,6 +30,7 @@ def assessment_lines(found: Assessment) -> list[str]:
     time = figures["time_in_contact_s"]
     peak = figures["peak_force_N"]
     hand = found.steadiness
+    removed = figures["removed_mm3"]
     more = len(found.breaches) - MOST_BREACHES
     return [
         f"no score: {found.unscored}" if hand is None else _score_line(hand),
@@ -40,6 +41,14 @@ def assessment_lines(found: Assessment) -> list[str]:
         f"depth: {figures['overshoot_mm']:.2f} mm beyond the reference's deepest point",
         f"force: peak {peak['trainee']:.3g} N against {peak['reference']:.3g}, "
         f"{100.0 * figures['force_error']:.0f} % from the reference's at the same place",
+        *(
+            [
+                f"removed: {removed['trainee']:.3g} mm3 against {removed['reference']:.3g}, "
+                f"{100.0 * removed['trainee'] / removed['reference']:.0f} % of the reference's"
+            ]
+            if removed["reference"] > 0.0
+            else []
+        ),
         f"time from first to last contact: {time['trainee']:.2f} s against {time['reference']:.2f}",
         *(
             f"least distance to {name}: {each['trainee']:.2f} mm against {each['reference']:.2f}"
@@ -84,9 +93,11 @@ def _score_line(hand: Steadiness) -> str:
     )
 
 
-def assessed_section(trainee: AssessedRun, reference: AssessedRun) -> tuple[list[str], bytes]:
+def assessed_section(
+    trainee: AssessedRun, reference: AssessedRun, *, force_limit_N: float | None = None
+) -> tuple[list[str], bytes]:
     """Assess a run; return the lines of text and the picture (PNG) for a report."""
-    found = assess(trainee, reference)
+    found = assess(trainee, reference, force_limit_N=force_limit_N)
     with TemporaryDirectory() as folder:
         picture = Path(folder) / FILES[1]
         draw_assessment(found, picture)

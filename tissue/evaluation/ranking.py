@@ -118,6 +118,8 @@ class Ranking:
         Name of the scene.
     people
         Ordered trainees.
+    unscored
+        Trainees with the runs that have no score. The table lists these runs without a rank.
     left_out
         Sentence with the reason for each run that is not ranked. For example, the run has another
         task than the reference run, or no score.
@@ -128,13 +130,15 @@ class Ranking:
 
     scene: str
     people: tuple[Person, ...]
+    unscored: tuple[Person, ...] = ()
     left_out: tuple[str, ...] = ()
     notes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def structures(self) -> list[str]:
         """Names of the protected structures in the scene."""
-        attempts = (attempt for person in self.people for attempt in person.attempts)
+        people = (*self.people, *self.unscored)
+        attempts = (attempt for person in people for attempt in person.attempts)
         kept = (name for each in attempts for name in each.found.figures["keep_clear"])
         return list(dict.fromkeys(kept))
 
@@ -170,9 +174,10 @@ def rank(
     Raises
     ------
     InputError
-        If the folder of a trainee contains no run, or no run can be ranked.
+        If the folder of a trainee contains no run, or no run can be assessed.
     """
     people = []
+    unscored = []
     left_out = []
     notes: dict[str, list[str]] = {}
     device = reference.scene and reference.scene.device
@@ -188,6 +193,7 @@ def rank(
                 f"remove the folder {person}",
             )
         attempts = []
+        without_score = []
         for path in runs:
             run = load(path)
             try:
@@ -207,6 +213,7 @@ def rank(
                 breached = ", ".join(found.breached)
                 harm = f"breached {breached} and " if breached else ""
                 left_out.append(f"{path} {harm}has no score: {found.unscored}")
+                without_score.append(Attempt(path.name, found))
                 continue
             name = path.relative_to(folder).as_posix()
             first = first or (run, name)
@@ -215,9 +222,12 @@ def rank(
             attempts.append(Attempt(path.name, found))
         if attempts:
             people.append(Person(person.name, tuple(attempts)))
-    if not people and left_out:
+        if without_score:
+            unscored.append(Person(person.name, tuple(without_score)))
+    has_assessed = bool(people or unscored)
+    if not has_assessed and left_out:
         raise InputError(left_out[0])
-    if not people:
+    if not has_assessed:
         raise InputError(
             "folder",
             "hold folders of trainees",
@@ -227,7 +237,7 @@ def rank(
     people.sort(key=lambda person: (person.breached_share, -person.mean))
     scene = str(reference.summary.get("scene"))
     noted = {note: tuple(names) for note, names in notes.items()}
-    return Ranking(scene, tuple(people), tuple(left_out), noted)
+    return Ranking(scene, tuple(people), tuple(unscored), tuple(left_out), noted)
 
 
 def ranking_lines(found: Ranking) -> list[str]:
@@ -235,8 +245,10 @@ def ranking_lines(found: Ranking) -> list[str]:
     people = counted(len(found.people), "trainee")
     runs = counted(sum(len(person.attempts) for person in found.people), "run")
     lines = [f"{found.scene}: {people}, {runs}; {SCALE}"]
+    if not found.people:
+        lines = [f"{found.scene}: no run has a score, so that no trainee has a rank"]
     structures = found.structures
-    if structures:
+    if structures and found.people:
         lines.append(
             f"order: first by the share of runs that breached {' or '.join(structures)}, "
             "the smallest first, then by the mean score"
@@ -270,6 +282,9 @@ def ranking_lines(found: Ranking) -> list[str]:
 def write_ranking(found: Ranking, folder: Path, *, overwrite: bool) -> list[Path]:
     """Write ``ranking.csv``, which has a row for each run, and ``ranking.png``.
 
+    Runs without a score have no rank, and are not drawn. If no run has a score, only the table is
+    written.
+
     Raises InputError if `folder` is a file, or already contains a ranking and `overwrite` is false.
     """
     with OwnedFolder(folder, "ranking", FILES, overwrite=overwrite):
@@ -278,27 +293,37 @@ def write_ranking(found: Ranking, folder: Path, *, overwrite: bool) -> list[Path
             for place, person in enumerate(found.people, 1)
             for attempt in person.attempts
         ]
+        rows += [
+            _row(found, None, person, attempt)
+            for person in found.unscored
+            for attempt in person.attempts
+        ]
         write_rows(folder / FILES[0], [rows[0], *(row.values() for row in rows)])
-        _draw(found, folder / FILES[1])
-    return [folder / name for name in FILES]
+        if found.people:
+            _draw(found, folder / FILES[1])
+    return [folder / name for name in FILES[: 1 + bool(found.people)]]
 
 
-def _row(found: Ranking, place: int, person: Person, attempt: Attempt) -> dict[str, object]:
-    """Return the table row of a run, keyed by the names of the columns."""
-    hand = attempt.steadiness
+def _row(found: Ranking, place: int | None, person: Person, attempt: Attempt) -> dict[str, object]:
+    """Return the table row of a run, keyed by the names of the columns.
+
+    `place` is None for a run without a score. Its rank, score and tremor are empty.
+    """
+    hand = attempt.found.steadiness
     figures = attempt.found.figures
     row = {
         "rank": place,
         "trainee": person.name,
         "attempt": attempt.name,
-        "score": round(hand.score, 2),
-        "score_low": round(hand.low, 2),
-        "score_high": round(hand.high, 2),
-        "tremor_mm": round(hand.tremor_mm, 4),
+        "score": hand and round(hand.score, 2),
+        "score_low": hand and round(hand.low, 2),
+        "score_high": hand and round(hand.high, 2),
+        "tremor_mm": hand and round(hand.tremor_mm, 4),
         "mean_deviation_mm": round(figures["deviation_mm"]["mean"], 4),
         "overshoot_mm": round(figures["overshoot_mm"], 4),
         "peak_force_N": round(figures["peak_force_N"]["trainee"], 4),
         "force_error": round(figures["force_error"], 4),
+        "removed_mm3": round(figures["removed_mm3"]["trainee"], 4),
         "limits_exceeded": len({breach.what for breach in attempt.found.breaches}),
     }
     least = {

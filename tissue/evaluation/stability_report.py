@@ -9,10 +9,16 @@ from meshes.base.errors import InputError
 from meshes.base.whole_file import write_columns
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, settling_hands
 from tissue.haptics.loop.stability_map import StabilityChart, StabilityMap, stability_map
+from tissue.models.tissue_model import TICK_S
 from tissue.scene.registry import DEVICES
 from tissue.scene.scene import Scene
 from tissue.show.figures.figure import figure, save
-from tissue.simulation.builders.loop import judged_loop, loop_settings
+from tissue.simulation.builders.loop import (
+    horizon_text,
+    judged_loop,
+    lead_ticks,
+    loop_settings,
+)
 from tissue.system.owned_folder import OwnedFolder
 
 FILES = ("stability.png", "stability_damping.csv", "stability_delay.csv")
@@ -59,10 +65,18 @@ def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
     """
     chosen = found.chosen
     data = found.over_delay
+    delay_ms = 1e3 * chosen.delay_s
+    coupling_ms = scene.held.coupling.delay_ms
+    horizon = ""
+    if scene.held.prediction != "none":
+        horizon_ms = 1e3 * TICK_S * lead_ticks(loop_settings(scene))
+        horizon = f"; prediction horizon {horizon_text(horizon_ms, coupling_ms)}"
     return [
         f"{scene.held.kind} in the hand of a person of the group {scene.held.hand}, "
         f"{1e-3 / chosen.tick_s:g} kHz, "
-        f"{1e3 * chosen.delay_s:g} ms added to the hold, low-pass {1e3 * chosen.filter_s:g} ms",
+        f"delay {delay_ms:g} ms (coupling.delay_ms = {coupling_ms:g}, and "
+        f"{delay_ms - coupling_ms:.3g} ms for device and tissue model), zero-order hold, "
+        f"low-pass {1e3 * chosen.filter_s:g} ms{horizon}",
         f"chosen: {_chosen(found)}",
         *(
             f"delay {1e3 * data.values[index]:4.1f} ms: stable below "

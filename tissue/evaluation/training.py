@@ -72,7 +72,10 @@ def train(
     """
     if not LEAST_TRIALS <= trials <= MOST_TRIALS:
         raise InputError(
-            "trials", f"be from {LEAST_TRIALS} to {MOST_TRIALS}", trials, f"use {TRIALS}"
+            "trials",
+            f"be from {LEAST_TRIALS} to {MOST_TRIALS}",
+            trials,
+            f"use a number such as {TRIALS}",
         )
     recorder = Recorder(cores=cores)
     device = device_parameters(trial(scene, 0).held.kind, scene.constants)

@@ -23,11 +23,6 @@ class SolverOutcome(Enum):
         "the stiffness is not positive definite: check moduli, Poisson's ratio, sliver cells and "
         "loose parts"
     )
-    INVERTED = "the held nodes invert cells: move these nodes in smaller steps"
-    STALLED = (
-        "no step lowers the energy, and cells are about to invert: press less deep, or "
-        "use the neo-Hookean law"
-    )
     UNSUPPORTED = "nothing holds the body: fix nodes that carry load, or give them springs"
 
 

@@ -3,14 +3,14 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-import warp as wp
 from numpy.typing import ArrayLike
 
-from kernels import tetrahedra
-from kernels.launcher import SplitLaunch
-from meshes.base.arrays import Array, Bytes, Int32s, Ints, Singles
+from meshes.base.arrays import Array, Bytes, Ints, Singles
 from tissue.fem.space import Space, gradient_slopes
-from tissue.materials.elasticity import elasticity_rows, stiffness_of_lame
+from tissue.materials.elasticity import VOIGT, elasticity_rows, stiffness_of_lame
+
+CENTRE = np.full(4, 0.25)
+"""Barycentric coordinates of the centre of a cell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,20 +72,57 @@ class StressState:
         Tensor components xx, yy, zz, yz, xz, xy of the strain, shape (n, 6).
     stress_Pa
         Tensor components of the stress [Pa] in the order of the strain, shape (n, 6).
-    von_mises_Pa
-        Von Mises stress [Pa], shape (n,).
-    principal_Pa
-        Principal stresses [Pa], largest first, shape (n, 3).
     """
 
     strain: Array
     stress_Pa: Array
-    von_mises_Pa: Array
-    principal_Pa: Array
 
 
-def cell_stress(space: Space, displacement_m: Array, elasticity: ArrayLike) -> StressState:
-    """Return the stress at the centre of each cell, which equals the mean stress of the cell.
+def von_mises(stress: Array) -> Array:
+    """Return the von Mises stress of stress tensors xx, yy, zz, yz, xz, xy, shape (n, 6)."""
+    return np.sqrt(1.5) * deviator_norm(stress)
+
+
+def principal_stresses(stress: Array) -> Array:
+    """Return the principal stresses, largest first, shape (n, 3).
+
+    The components xx, yy, zz, yz, xz, xy of the stress have the shape (n, 6).
+    """
+    values = np.linalg.eigvalsh(stress[:, [[0, 5, 4], [5, 1, 3], [4, 3, 2]]])
+    return np.asarray(values[:, ::-1], dtype=np.float64)
+
+
+def deviator_norm(components: Array) -> Array:
+    """Return the norm sqrt(d : d) of the deviator d of symmetric tensors, shape (n,).
+
+    The tensor components xx, yy, zz, yz, xz, xy have the shape (n, 6).
+    """
+    normal = components[:, :3] - components[:, :3].mean(axis=1, keepdims=True)
+    return np.sqrt((normal**2).sum(axis=1) + 2.0 * (components[:, 3:] ** 2).sum(axis=1))
+
+
+def displacement_gradient(space: Space, displacement_m: Array, point: Array) -> Array:
+    """Return the gradient of the displacement at a point of each cell, shape (m, 3, 3).
+
+    Parameters
+    ----------
+    space, displacement_m
+        Nodes and cells, and displacement of each node [m], shape (n, 3).
+    point
+        Barycentric coordinates of the point, shape (4,).
+    """
+    slope = gradient_slopes(4, space.order) @ point
+    corners = space.gradients[0].numpy()
+    moved = displacement_m[space.cell_nodes]
+    return np.einsum("mai,ac,mcj->mij", moved, slope, corners, optimize=True)
+
+
+def cell_stress(
+    space: Space, displacement_m: Array, elasticity: ArrayLike, *, point: Array = CENTRE
+) -> StressState:
+    """Return the stress at a point of each cell.
+
+    The stress at the centre equals the mean stress of the cell.
 
     Parameters
     ----------
@@ -95,48 +132,19 @@ def cell_stress(space: Space, displacement_m: Array, elasticity: ArrayLike) -> S
         Displacement of each node [m], shape (n, 3).
     elasticity
         Elastic constants of the cells, see `tissue.fem.assembly.assemble`.
+    point
+        Barycentric coordinates of the point, shape (4,).
 
     Raises
     ------
     InputError
         If the elasticity is not valid.
     """
-    start = np.arange(space.cell_count + 1, dtype=np.int32)
-    # at the centre all four barycentric coordinates are equal
-    return group_stress(space, displacement_m, elasticity, start, start[:-1], np.full((1, 4), 0.25))
-
-
-def group_stress(
-    space: Space,
-    displacement_m: Array,
-    elasticity: ArrayLike,
-    start: Int32s,
-    member: Int32s,
-    places: Array,
-) -> StressState:
-    """Return the mean stress of groups of points, weighted by the volumes of the cells.
-
-    See `kernels.tetrahedra.group_stress` for the parameters, and `cell_stress` for the raised
-    errors.
-    """
     rows = elasticity_rows(elasticity, space.cell_count)
     # Rows of two numbers are the Lamé constants of isotropic cells; other rows are whole matrices.
     stiffness = stiffness_of_lame(rows) if rows.ndim == 2 else rows
-    count = len(start) - 1
-    device = space.device
-    inputs = [
-        start,
-        member,
-        places,
-        gradient_slopes(4, space.order),
-        space.cell_nodes,
-        *space.gradients,
-        stiffness,
-        displacement_m,
-    ]
-    strain, stress = (wp.empty((count, 6), wp.float64, device) for _ in range(2))
-    von_mises = wp.empty(count, wp.float64, device)
-    principal = wp.empty(count, wp.vec3d, device)
-    outputs = [strain, stress, von_mises, principal]
-    SplitLaunch(tetrahedra.group_stress, count, inputs, outputs)()
-    return StressState(strain.numpy(), stress.numpy(), von_mises.numpy(), principal.numpy())
+    gradient = displacement_gradient(space, displacement_m, point)
+    row, column = VOIGT.T
+    strain = 0.5 * (gradient[:, row, column] + gradient[:, column, row])
+    engineering = strain * [1.0, 1.0, 1.0, 2.0, 2.0, 2.0]
+    return StressState(strain, (stiffness @ engineering[:, :, None])[:, :, 0])

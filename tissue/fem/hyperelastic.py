@@ -1,70 +1,49 @@
 """Tetrahedra under large deformation: energy, nodal forces and tangent stiffness.
 
-Nonlinear laws show where the linear law is not accurate enough. The nonlinear laws are too slow for
-a tick of 1 ms. Linear tetrahedra lock if Poisson's ratio is near 0.5. Quadratic tetrahedra with
-four Gauss points do not lock.
+Hyperelastic laws are too slow for a tick of 1 ms. Linear tetrahedra lock if Poisson's ratio is near
+0.5. Quadratic tetrahedra with four Gauss points do not lock.
 """
 
-from enum import Enum
 from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike
 from scipy.sparse import bsr_array, csr_array
 
-from kernels import tet_hyperelastic, tet_nonlinear
 from kernels.launcher import SplitLaunch
 from kernels.mirror import placed
+from kernels.tet_hyperelastic import (
+    gather_blocks,
+    gather_forces,
+    stretch_force,
+    stretch_stiffness,
+)
 from meshes.base.arrays import Array, Ints
-from meshes.base.errors import InputError
 from tissue.fem.space import Space, gauss_points, gradient_slopes, local_pairs
-from tissue.materials.elasticity import elasticity_rows
 from tissue.materials.hyperelasticity import Hyperelastic
 
 
-class Law(Enum):
-    """Elastic laws with one small-strain limit. The value of a law is its range of validity."""
-
-    LINEAR = "small strain and small rotation"
-    COROTATIONAL = (
-        "small strain, any rotation: the linear law in the rotated frame of each Gauss point"
-    )
-    NEO_HOOKEAN = "large strain, any rotation: mu/2 (I1 - 3) - mu ln J + lambda/2 (ln J)^2"
-
-
 class NonlinearBody:
-    """Meshed body with one elastic law.
+    """Meshed body with a hyperelastic law.
 
     Parameters
     ----------
     space
         Nodes and cells, linear or quadratic.
-    lame_Pa
-        Lame constants lambda, mu at small strains [Pa], shape (2,) or (m, 2), as returned by
-        `tissue.materials.elasticity.lame`. None for a hyperelastic law, which has its own
-        constants.
     law
-        Elastic law.
+        Hyperelastic law.
     cell_factors
-        Factors of the moduli of a hyperelastic law, one for each cell, shape (m,); None for a
-        factor of 1.
+        Factors of the moduli of the law, one for each cell, shape (m,); None for a factor of 1.
     membrane
         Stiffness of a linear membrane on the surface [N/m], shape (3n, 3n), as returned by
         `tissue.fem.assembly.capsule_stiffness`; None for no membrane.
-
-    Raises
-    ------
-    InputError
-        If the constants have a wrong shape, or do not describe a stable material.
     """
 
     def __init__(
         self,
         space: Space,
-        lame_Pa: ArrayLike | None,
         *,
-        law: Law | Hyperelastic,
+        law: Hyperelastic,
         cell_factors: Array | None = None,
         membrane: bsr_array | None = None,
     ) -> None:
@@ -94,22 +73,23 @@ class NonlinearBody:
         self._blocks = out(len(pattern.column), wp.mat33d)
         shares = out((count, width), wp.vec3d)
         squares = out((count, len(first)), wp.mat33d)
-        force = tet_nonlinear.tet_force
-        stiffness = tet_nonlinear.tet_stiffness
-        if isinstance(law, Hyperelastic):
-            force = tet_hyperelastic.stretch_force
-            stiffness = tet_hyperelastic.stretch_stiffness
-        constants = _constants(lame_Pa, law, count, cell_factors)
+        each = np.ones(count) if cell_factors is None else cell_factors
+        constants = [
+            np.outer(each, [law.bulk_Pa, law.shear_Pa]),
+            np.reshape(law.terms, (-1, 2)) / [law.shear_Pa, 1.0],
+            np.array(law.powers_Pa) / law.shear_Pa,
+            np.reshape(law.exponentials, (-1, 2)) / [law.shear_Pa, 1.0],
+        ]
         points = [reference, np.full(len(at), 1.0 / len(at))]
         model = placed(
-            force,
+            stretch_force,
             [space.cell_nodes, *space.gradients, *points, *constants, self._displacement],
             device,
         )
         self._force_launches = (
-            SplitLaunch(force, count, model, [self._energy, shares]),
+            SplitLaunch(stretch_force, count, model, [self._energy, shares]),
             SplitLaunch(
-                tet_nonlinear.gather_forces,
+                gather_forces,
                 space.node_count,
                 [node_start, node_place, shares.flatten()],
                 [self._force],
@@ -117,16 +97,17 @@ class NonlinearBody:
         )
         places = [pattern.pair_start, pattern.contribution, pattern.place, pattern.mirror]
         gather = SplitLaunch(
-            tet_nonlinear.gather_blocks,
+            gather_blocks,
             len(pattern.place),
             [*places, squares.flatten()],
             [self._blocks],
         )
-        # A tangent that is made positive definite exists only for a hyperelastic law.
-        variants: list[list[object]] = [[0], [1]] if isinstance(law, Hyperelastic) else [[]]
         self._stiffness_launches = [
-            (SplitLaunch(stiffness, count, [first, second, *variant, *model], [squares]), gather)
-            for variant in variants
+            (
+                SplitLaunch(stretch_stiffness, count, [first, second, definite, *model], [squares]),
+                gather,
+            )
+            for definite in (0, 1)
         ]
 
     def energy_and_force(self, displacement_m: Array) -> tuple[float, Array]:
@@ -156,9 +137,8 @@ class NonlinearBody:
         displacement_m
             Displacement of the nodes [m], shape (n, 3).
         definite
-            If true, the eigenvalues of the tangent of a hyperelastic law are made positive at each
-            quadrature point. The matrix is then positive definite for any supports that prevent
-            rigid motions.
+            If true, the eigenvalues of the tangent are made positive at each quadrature point. The
+            matrix is then positive definite for any supports that prevent rigid motions.
         """
         self._displacement.assign(np.ascontiguousarray(displacement_m, dtype=np.float64))
         for run in self._stiffness_launches[int(definite)]:
@@ -180,25 +160,3 @@ def _places_of(membrane: bsr_array, space: Space) -> Ints:
     )
     row = np.repeat(np.arange(count), np.diff(membrane.indptr))
     return np.asarray(numbered[row, membrane.indices]).ravel()
-
-
-def _constants(
-    lame_Pa: ArrayLike | None, law: Law | Hyperelastic, count: int, factors: Array | None
-) -> tuple[int | Array, ...]:
-    """Return the arguments of the law's kernels.
-
-    For a `Law`, the arguments are its number and the Lame constants. For a hyperelastic law, they
-    are moduli, terms, powers and exponentials.
-    """
-    if isinstance(law, Hyperelastic):
-        each = np.ones(count) if factors is None else factors
-        return (
-            np.outer(each, [law.bulk_Pa, law.shear_Pa]),
-            np.reshape(law.terms, (-1, 2)) / [law.shear_Pa, 1.0],
-            np.array(law.powers_Pa) / law.shear_Pa,
-            np.reshape(law.exponentials, (-1, 2)) / [law.shear_Pa, 1.0],
-        )
-    lame = np.asarray(lame_Pa, np.float64)
-    if lame.shape[-1:] != (2,):
-        raise InputError("lame_Pa", "have shape (2,) or (m, 2)", lame.shape, "use materials.lame")
-    return list(Law).index(law), np.broadcast_to(elasticity_rows(lame, count), (count, 2))

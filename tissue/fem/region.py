@@ -100,7 +100,6 @@ class RegionBody:
         self.cells = cells
         self.body = NonlinearBody(
             part,
-            None,
             law=law,
             cell_factors=cell_factors[cells],
             membrane=membrane(part, skin) if membrane is not None and len(skin) else None,

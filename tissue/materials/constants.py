@@ -87,7 +87,7 @@ class CuttingCoefficients:
                 "cutting.minimum_chip_um",
                 "be above 0 with a size effect, because its coefficients are infinite at 0",
                 f"{1e6 * self.minimum_chip_m:g}",
-                "use 1, or set cutting.size_exponent to 0",
+                "use a value such as 1, or set cutting.size_exponent to 0",
             )
 
     CHIP: ClassVar[tuple[str, ...]] = "tangential_chip_Pa", "radial_chip_Pa", "axial_chip_Pa"

@@ -317,8 +317,10 @@ class WallModel(_Stateless):
     measure_names: tuple[str, ...] = ("depth_mm",)
 
     def __init__(self, stiffness_N_m: float, *, radius_m: float) -> None:
-        self.stiffness_N_m = require_positive("stiffness_N_m", stiffness_N_m, "use 1e4")
-        self._radius = require_positive("radius_m", radius_m, "use 5e-3")
+        self.stiffness_N_m = require_positive(
+            "stiffness_N_m", stiffness_N_m, "use a value such as 1e4"
+        )
+        self._radius = require_positive("radius_m", radius_m, "use a value such as 5e-3")
         self.start_m3 = np.zeros(1)
         self.removed_m3 = np.zeros(1)
         self._free = np.zeros((3, 3))

@@ -3,7 +3,6 @@
 Quaternions are (x, y, z, w).
 """
 
-from dataclasses import dataclass
 from math import inf
 from typing import Protocol
 
@@ -20,26 +19,6 @@ LONGEST_S = 3600.0
 
 A longer motion probably has a wrong unit.
 """
-
-
-@dataclass(frozen=True)
-class FeedLimit:
-    """Record of the time in contact during which the feed limit determines the speed of the tool.
-
-    Attributes
-    ----------
-    max_feed_mm_s
-        Feed limit [mm/s].
-    active_s
-        Total time in contact with an active limit [s]. During this time, the resistance of the
-        tissue is smaller than the thrust.
-    first_s
-        Time at which the limit first became active [s]; None if the limit was never active.
-    """
-
-    max_feed_mm_s: float
-    active_s: float
-    first_s: float | None
 
 
 Events = list[tuple[float, str]]
@@ -72,9 +51,15 @@ class Motion(Protocol):
     """
 
     @property
-    def feed_limit(self) -> FeedLimit | None:
-        """Record of the active feed limit; None for a motion that is not driven by a thrust."""
-        return None
+    def feed_limit(self) -> dict[str, float | None]:
+        """Record of the time in contact during which the feed limit determines the speed.
+
+        The record contains the feed limit ``max_feed_mm_s``, the total time ``active_s`` of an
+        active limit in contact [s], and the time ``first_s`` at which the limit first became active
+        [s] (None if it was never active). While the limit is active, the resistance of the tissue
+        is smaller than the thrust. A motion that is not driven by a thrust has an empty record.
+        """
+        return {}
 
     def sweep_m(self) -> Array:
         """Return tip positions [m], shape (n, 3), that span the region of the motion."""

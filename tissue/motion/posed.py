@@ -1,6 +1,6 @@
 """Motion of a tool through poses that the caller sets one after the other."""
 
-from math import atan2, sqrt
+from math import sqrt
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,7 +9,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.motion import StaysAt, matrix_of
-from tissue.motion.quaternion import OFF_UNIT
+from tissue.motion.quaternion import OFF_UNIT, exponential, logarithm, of_matrix
 
 FASTEST_M_S = 10.0
 """Largest accepted speed of a tool [m/s]; a larger speed indicates a pose in a wrong unit.
@@ -103,26 +103,6 @@ def poses_in(name: str, poses: ArrayLike, rotation: Array) -> tuple[Array, Array
     return 1e-3 * values[:, :3, 3], turns
 
 
-def rotation_vector(rotation: Array) -> Array:
-    """Return the rotation vector of a rotation of less than 180 degrees [rad], shape (3,)."""
-    skew = 0.5 * (rotation - rotation.T)
-    vector = np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
-    sine = sqrt(vector.dot(vector))
-    if sine == 0.0:
-        return vector
-    angle = atan2(sine, 0.5 * (float(np.trace(rotation)) - 1.0))
-    return vector * (angle / sine)
-
-
-def rotation_by(vector: Array) -> Array:
-    """Return the rotation matrix of a rotation vector [rad], shape (3, 3)."""
-    angle = sqrt(vector.dot(vector))
-    if angle == 0.0:
-        return np.eye(3)
-    half = np.sin(0.5 * angle) / angle
-    return matrix_of(np.array([*(half * vector), np.cos(0.5 * angle)]))
-
-
 class PosedTool(StaysAt):
     """Motion of a tool through poses that are set step by step.
 
@@ -199,7 +179,7 @@ class PosedTool(StaysAt):
                     f"{np.degrees(np.arccos(0.5 * (np.trace(between) - 1.0))):.0f} degrees",
                     "turn the tool in more steps",
                 )
-            self._turn = rotation_vector(between)
+            self._turn = np.array(logarithm(of_matrix(between.tolist())))
         self._tip = tip_m
         self._rotation = np.array(rotation)
         self._left = ticks
@@ -219,7 +199,8 @@ class PosedTool(StaysAt):
             motion.tip_m += (self._tip - motion.tip_m) / self._left
             if self._turn.any():
                 done = self._turn / self._left
-                motion.rotation[:] = rotation_by(done) @ motion.rotation
+                x, y, z = done.tolist()
+                motion.rotation[:] = matrix_of(np.array(exponential((x, y, z)))) @ motion.rotation
                 self._turn = self._turn - done
         self._left -= 1
         moved, turned = self._velocity

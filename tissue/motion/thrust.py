@@ -5,7 +5,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.models.tissue_model import Response, ToolMotion
-from tissue.motion.motion import Events, FeedLimit, Motion, frame_along
+from tissue.motion.motion import Events, Motion, frame_along
 
 TOLERANCE = 0.01
 """Largest difference between the speed that led to a pose and the balanced speed at this pose.
@@ -62,12 +62,7 @@ class SpeedSearch:
     """
 
     def __init__(self) -> None:
-        self.tried = 0.0
-        self.tangent = 0.0
-        self._low = self._high = 0.0
-        self._poses = 0
-        self._tangents = 0
-        self._is_last_pose = False
+        self.begin(0.0, highest=0.0)
 
     def begin(self, speed: float, *, highest: float) -> None:
         """Start a tick with a first guess of the speed, limited to 0 to ``highest`` [m/s]."""
@@ -254,10 +249,14 @@ class PushAlongAxis(Motion):
         return [(self._first_limited_s, what)]
 
     @property
-    def feed_limit(self) -> FeedLimit:
+    def feed_limit(self) -> dict[str, float | None]:
         """Time in which the feed limit was active in contact, up to the previous tick."""
         first_s = self._first_limited_s if self._limited_s > 0.0 else None
-        return FeedLimit(1e3 * self._max_feed, round(self._limited_s, 6), first_s)
+        return {
+            "max_feed_mm_s": 1e3 * self._max_feed,
+            "active_s": round(self._limited_s, 6),
+            "first_s": first_s,
+        }
 
     def _resisting(self, response: Response) -> tuple[float, float]:
         """Return drag [N s/m] and edge force [N], both against the direction of motion."""

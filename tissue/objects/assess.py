@@ -107,8 +107,9 @@ def rank(
     their mean score. The score measures how steady a hand is; see `Assessment.steadiness`. A
     trainee with three or more attempts also has a learning curve. Three kinds of runs are left out:
     runs of a task other than the reference run's, runs without a score, and runs that do not touch
-    the tissue where the reference run does. `Ranking.left_out` lists them. `Ranking.notes` lists
-    differences between the scenes of the runs, including the coupling to the device.
+    the tissue where the reference run does. `Ranking.left_out` lists them. The table also has rows
+    for the runs without a score. `Ranking.notes` lists differences between the scenes of the runs,
+    including the coupling to the device.
 
     Parameters
     ----------
@@ -124,7 +125,7 @@ def rank(
     Raises
     ------
     InputError
-        If the folder of a trainee or of the reference holds no run, or no run can be ranked.
+        If the folder of a trainee or of the reference holds no run, or no run can be assessed.
     """
     found = ranking.rank(
         Path(folder),

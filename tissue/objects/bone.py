@@ -404,8 +404,8 @@ class Bone:
         tips, turns = poses_of(poses, axis)
         times = times_of(times_s, len(tips))
         self.require_cutter(tool)
-        depth_m = 1e-3 * require_range("depth_mm", depth_mm, 1e-3, 100.0, "use 0.1")
-        share = require_range("tolerance", tolerance, 1e-3, 0.1, "use 0.01")
+        depth_m = 1e-3 * require_range("depth_mm", depth_mm, 1e-3, 100.0, "use a value such as 0.1")
+        share = require_range("tolerance", tolerance, 1e-3, 0.1, "use a value such as 0.01")
         reach_m = np.linalg.norm([tool.profile.radius_m, *tool.profile.height_range_m])
         box_m = np.array([tips.min(axis=0) - reach_m, tips.max(axis=0) + reach_m])
         return cut_along(

@@ -295,16 +295,17 @@ class Cut:
 
         `removed_before_m3` is the volume that was removed before this cut; it is subtracted.
         """
-        layout = TraceLayout.of(loop.parts.tissue.layer_names)
+        at = TraceLayout.of(loop.parts.tissue.layer_names).at
         names = [name for name in loop.trace.columns if not name.startswith("model_")]
         places = [loop.trace.columns.index(name) for name in names]
         rows = loop.trace.rows.copy()
-        rows[:, layout.time] = times_s
+        rows[:, at["time"]] = times_s[:, None]
         # The removal of a slow cut is spread over several ticks, so the last row takes the final
         # volume.
-        rows[-1, layout.removed_by_layer] = 1e9 * loop.parts.tissue.removed_m3
-        rows[:, layout.removed_by_layer] -= 1e9 * removed_before_m3
-        rows[:, layout.removed] = rows[:, layout.removed_by_layer].sum(axis=1)
+        rows[-1, at["removed_by_layer"]] = 1e9 * loop.parts.tissue.removed_m3
+        by_layer = rows[:, at["removed_by_layer"]]
+        by_layer -= 1e9 * removed_before_m3
+        rows[:, at["removed"]] = by_layer.sum(axis=1, keepdims=True)
         trace = Table(tuple(names), rows[:, places], loop.trace.layer_names)
         last = len(times_s) - 1
         events = [

@@ -112,7 +112,8 @@ class Loop:
         device
             Object with ``read(time_s)``, which returns a `tissue.Sample` in metres or None, and
             ``command(force_N, torque_Nm)``. If the object is a context manager, the loop enters and
-            exits it. None if the tool is moved by `step`.
+            exits it. None if the tool is moved by `step`. A device needs a bone or an organ. For a
+            scene, use ``tissue.simulate(scene, device=...)``.
         start_mm
             Position of the tip at the start [mm], shape (3,). The origin of the device corresponds
             to this position. The default is 2 mm above the middle of the tissue.
@@ -181,6 +182,7 @@ class Loop:
             step_ms=step_ms,
             reach_mm=reach_mm,
         )
+        self._of = tissue.name if isinstance(tissue, Scene) else type(tissue).__name__
         self._closing = ExitStack()
         self._warned = set[str]()
         self._device: HandMotion | None = None
@@ -190,7 +192,12 @@ class Loop:
         judged: JudgedDevice | None = None
         prepared: Region | None = None
         if isinstance(tissue, Scene):
-            given = {"tool": tool, "device": device, "start_mm": start_mm, "axis": axis}
+            if device is not None:
+                raise InputError(
+                    "tissue.Loop couples a device to a bone or an organ, but not to a scene. For a "
+                    "scene, use tissue.simulate(scene, device=...)"
+                )
+            given = {"tool": tool, "start_mm": start_mm, "axis": axis}
             leave_out(given | {"keep_clear": keep_clear} | options, "with a scene")
             made_from = scene_arguments(tissue)
             parts, prepared = posed_parts(tissue, reach_m=reach_m, cores=cores)
@@ -296,7 +303,9 @@ class Loop:
             Pose of the tool at the end of the step, in the frame of the tissue. Three forms are
             accepted: a tip position [mm], shape (3,), with unchanged orientation; a tip position
             and a quaternion (x, y, z, w), shape (7,); or a homogeneous matrix, shape (4, 4). The z
-            axis of the tool points from tip to shank. Leave out the pose if there is a device.
+            axis of the tool points from tip to shank. Leave out the pose if there is a device. The
+            first pose has the time 0 in the trace. In a run of a scene, the start of the path has
+            the time 0. For the times of the run, give the start pose first.
         velocity
             Velocity of the tip [mm/s], shape (3,), or velocity and angular velocity [rad/s] in one
             array, shape (6,). The default is the change of the pose divided by the duration of the
@@ -430,7 +439,9 @@ class Loop:
         device = self._device
         if device is None:
             raise InputError("run", "have a device", "none", "move the tool by step(pose)")
-        count = round(require_range("seconds", seconds, TICK_S, LONGEST_S, "use 10") / TICK_S)
+        count = round(
+            require_range("seconds", seconds, TICK_S, LONGEST_S, "use a value such as 10") / TICK_S
+        )
         clock = WallClock() if real_time else None
         if self._organ is not None:
             self._organ.waits = not real_time
@@ -512,8 +523,7 @@ class Loop:
 
     def __repr__(self) -> str:
         return (
-            f"Loop({type(self._loop.parts.tissue).__name__}, {self.ticks} ticks; "
-            f"{self.notes.get('coupling', 'moved by step')})"
+            f"Loop({self._of}, {self.ticks} ticks; {self.notes.get('coupling', 'moved by step')})"
         )
 
 

@@ -148,7 +148,9 @@ def judged_device(
             script,
             lambda held, stiffness: device,
             force_scale=(
-                require_positive("force_scale", 1.0 if scale is None else scale, "use 1"),
+                require_positive(
+                    "force_scale", 1.0 if scale is None else scale, "use a value such as 1"
+                ),
                 scale_note,
             ),
             # Only a perception draws random numbers, and this loop has no perception.
@@ -264,14 +266,18 @@ def extent(
     InputError
         If an argument is out of range.
     """
-    longest = require_range("longest_s", longest_s, TICK_S, LONGEST_S, "use 600")
-    ticks = require_range("step_ms", step_ms, 1, MOST_TICKS, "use 1")
+    longest = require_range("longest_s", longest_s, TICK_S, LONGEST_S, "use a value such as 600")
+    ticks = require_range("step_ms", step_ms, 1, MOST_TICKS, "use a value such as 1")
     if ticks != round(ticks):
-        raise InputError("step_ms", "be a whole number of ticks of 1 ms", step_ms, "use 1")
+        raise InputError(
+            "step_ms", "be a whole number of ticks of 1 ms", step_ms, "use a value such as 1"
+        )
     usual_mm = SCENE_REACH_MM if is_scene else REACH_MM
     least_mm = 0.0 if is_scene else 0.5
     reach = usual_mm if reach_mm is None else reach_mm
-    checked_mm = require_range("reach_mm", reach, least_mm, 100.0, f"use {usual_mm:g}")
+    checked_mm = require_range(
+        "reach_mm", reach, least_mm, 100.0, f"use a value such as {usual_mm:g}"
+    )
     return round(longest / TICK_S), round(ticks), 1e-3 * checked_mm
 
 

@@ -118,11 +118,12 @@ class Organ:
             If the mesh cannot be used or has an implausible size, or a named part does not exist.
         """
         from meshes.tets.files import given_tets
-        from tissue.simulation.builders.organ_made import StatedOrgan, made_of
+        from tissue.simulation.builders.organ_made import StatedOrgan, made_of, size_note
 
         stated = StatedOrgan.of(modulus_kPa, poisson_ratio, options)
         given = given_tets(mesh, scale_mm=scale_mm, part_names=part_names)
         notes = {"mesh": " ".join(given.sentences)} if given.sentences else {}
+        notes |= size_note(float(given.mesh.volumes_m3.sum()), scale_mm)
         return cls(made_of(given.mesh, notes, stated, points_mm=given.points_mm))
 
     @classmethod
@@ -415,7 +416,8 @@ class Organ:
             1e-3 * require_vector("at_mm", at_mm),
             along,
             depth_m=1e-3 * depth,
-            speed_m_s=1e-3 * require_positive("speed_mm_s", speed_mm_s or SPEED_MM_S, "use 10"),
+            speed_m_s=1e-3
+            * require_positive("speed_mm_s", speed_mm_s or SPEED_MM_S, "use a value such as 10"),
             hold_s=require_range("hold_s", hold_s, 0.0, 3600.0, "use 0 for none"),
             report=progress,
         )
@@ -445,7 +447,8 @@ class Organ:
         plotter.add_points(
             held, color=HELD, point_size=7, render_points_as_spheres=True, label="held"
         )
-        plotter.add_legend(loc="upper left", face="circle", size=(0.3, 0.05 * (len(names) + 1)))  # type: ignore[call-arg]
+        # The text fills the height of the legend: 4 % of the picture for each line.
+        plotter.add_legend(loc="upper left", face="circle", size=(0.3, 0.04 * len(names)))  # type: ignore[call-arg]
         plotter.add_axes()  # type: ignore[call-arg]
         return plotter.show(**options)
 

@@ -236,10 +236,11 @@ class Press:
             -self.along,
         ]
         plotter.add_text(
-            f"{self.force_magnitude_N:.3g} N at {self.depth_mm[-1]:.3g} mm",
+            f"{self.force_magnitude_N:.3g} N at {self.depth_mm[-1]:.3g} mm\n{self.tool}",
             font_size=11,
             color="black",
         )
+        plotter.add_axes()  # type: ignore[call-arg]
         return plotter.show(**options)
 
     def to_pandas(self) -> pd.DataFrame:
@@ -349,7 +350,7 @@ def press_at(
     with names_of_caller(WORDS):
         curve = press(organ, probe, point, frame_along(-direction), **moves)
     _require_growing(curve, relaxes=organ.prony is not None)
-    notes |= _resolution(mesh, probe, point)
+    notes |= _resolution(mesh, probe, point, order=organ.space.order)
     if organ.law is None:
         notes |= _linear(probe, moves["depth_m"])
     other = [each for each in curve.notices if "linear elasticity" not in each]
@@ -382,7 +383,7 @@ def _require_growing(curve: PressCurve, *, relaxes: bool) -> None:
     )
 
 
-def _resolution(mesh: TetMesh, probe: ProbeShape, point_m: Array) -> dict[str, str]:
+def _resolution(mesh: TetMesh, probe: ProbeShape, point_m: Array, *, order: int) -> dict[str, str]:
     """Return a note if the mesh edges under the tool are too long for the size of the tool."""
     corners = mesh.nodes_m[mesh.surface]
     near = np.linalg.norm(corners.mean(axis=1) - point_m, axis=1)
@@ -392,7 +393,14 @@ def _resolution(mesh: TetMesh, probe: ProbeShape, point_m: Array) -> dict[str, s
     edge = float(np.linalg.norm(chosen - np.roll(chosen, 1, axis=1), axis=2).max())
     wanted = 2.0 * radius / TOOL_EDGES
     if edge <= LONG * wanted:
-        return {}
+        # Quadratic tetrahedra have a node in the middle of an edge.
+        if not isinstance(probe, SphereProbe) or edge <= wanted * order:
+            return {}
+        return {
+            "contact area": "area_mm2 is too small: nodes under the ball are up to "
+            f"{1e3 * edge / order:.3g} mm apart, and the ball has a radius of {1e3 * radius:.3g} "
+            f"mm. Refine the organ there with edge_mm={0.5e3 * edge:.2g} or less"
+        }
     return {
         "mesh": f"edges of up to {1e3 * edge:.3g} mm under a tool of {2e3 * radius:.3g} mm, which "
         f"takes {1e3 * wanted:.3g} mm: refine the organ there"

@@ -288,6 +288,11 @@ class register:
             raise InputError(f"{name} is the name of a built-in {kind}")
         part = load()
         if kind in ("material", "scene"):
+            if not Path(part).is_file():
+                raise InputError(
+                    f"the package was built without the file {part}; its author lists the file in "
+                    "package-data"
+                )
             getattr(register, kind)(part)
             return
         if not any(name in table.known for table in tables):

@@ -447,6 +447,7 @@ def report(
     out: str | Path | None = None,
     *,
     against: "Run | str | Path | None" = None,
+    force_limit_N: float | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Path:
@@ -464,6 +465,8 @@ def report(
     against
         Reference run, or its folder. If it is given, the report also contains the comparison by
         `tissue.assess` with this reference run.
+    force_limit_N
+        With `against`: limit of the force on the tool [N], see `tissue.assess`.
     overwrite
         Whether to replace an existing file.
     progress
@@ -485,7 +488,16 @@ def report(
 
     found = None
     if against is not None:
-        found = assessed_section(assessed_run(run), assessed_run(against))
+        found = assessed_section(
+            assessed_run(run), assessed_run(against), force_limit_N=force_limit_N
+        )
+    elif force_limit_N is not None:
+        raise InputError(
+            "force_limit_N",
+            "be left out without a reference run",
+            f"{force_limit_N:g}",
+            "give against, or remove force_limit_N",
+        )
     if isinstance(run, Run):
         if out is None:
             if run.path is None:

@@ -65,7 +65,12 @@ def simulate(
     device
         Device object to use instead of the device that the scene names; the limits of the scene's
         device apply to it. By default, the device of the scene is simulated, unless a real device
-        was registered under its name. See `tissue.simulation.simulate.simulate`.
+        was registered under its name. The device gives positions of the tool's tip in the frame of
+        the scene [m]; ``coupling.motion_scale`` multiplies their distances from the start of the
+        path. The run is as fast as possible, or paced by the wall clock if the device has the
+        attribute ``real_time = True``. A read that takes longer than 2.5 ms on the wall clock gives
+        no sample, unless the device has ``in_process = True``. See
+        `tissue.simulation.simulate.simulate`.
     on_tick
         Function that is called after every tick of 1 ms with the number of the tick and its row of
         the trace, a mapping from column to value. The run ends if the function returns False. The

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from meshes.base.errors import InputError, require_range
 from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress
+from meshes.base.text_tables import shown
 from tissue.evaluation.assessment import path_note
 from tissue.objects.comparison import PLOTTED, Comparison, shortened, split_formats, write_rows
 from tissue.objects.html import figures_of, intervals_of, table_html
@@ -361,7 +362,7 @@ def planned(
         values = dict(zip(swept, combination, strict=True))
         each = SweptRun(name, values, out / name)
         try:
-            new = changed(base, fixed | values)
+            new = changed(base, fixed | values, warns=True)
             require_files(new)
             found[name] = replace(each, scene=new)
         except InputError as refused:
@@ -385,7 +386,13 @@ def _listed(key: str, values: Iterable[object]) -> list[object]:
         found = list(islice(values, MOST_RUNS + 1))
     if not found:
         raise InputError(key, "be given as a list of values", values, "use for example [1.0, 2.0]")
-    return [each.tolist() if isinstance(each, np.generic | np.ndarray) else each for each in found]
+    found = [each.tolist() if isinstance(each, np.generic | np.ndarray) else each for each in found]
+    for index, each in enumerate(found):
+        if each in found[:index]:
+            raise InputError(
+                key, "have different values", f"{shown(each)} twice", "give each value once"
+            )
+    return found
 
 
 def _words(key: str, values: Sequence[object], swept: Mapping[str, object]) -> list[str]:

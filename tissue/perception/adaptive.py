@@ -109,12 +109,14 @@ class ThresholdPrior:
     lapse_cells: int = 4
 
     def __post_init__(self) -> None:
-        require_positive("weber", self.weber, "use 0.09")
-        require_positive("weber_log_spread", self.weber_log_spread, "use 0.6")
-        require_positive("lowest", self.lowest, "use 0.015")
+        require_positive("weber", self.weber, "use a value such as 0.09")
+        require_positive("weber_log_spread", self.weber_log_spread, "use a value such as 0.6")
+        require_positive("lowest", self.lowest, "use a value such as 0.015")
         # A fraction of 10 or more was probably given in percent.
         if not self.lowest < self.highest < 10.0:
-            raise InputError("highest", f"be in ({self.lowest:g}, 10)", self.highest, "use 0.6")
+            raise InputError(
+                "highest", f"be in ({self.lowest:g}, 10)", self.highest, "use a value such as 0.6"
+            )
         # `edge_mass` reads two cells at each bound, and these must be different cells. The limit of
         # 1000 cells bounds the memory of the likelihoods.
         for name, least in (("cells", 5), ("offset_cells", 1), ("lapse_cells", 1)):
@@ -260,10 +262,6 @@ class AdaptiveThreshold:
         logs = np.log(values)
         mean = logs @ self.posterior
         return np.exp(mean), np.sqrt(np.maximum(logs**2 @ self.posterior - mean**2, 0.0))
-
-    def lapse(self) -> Array:
-        """Return the posterior mean of the lapse rate, shape (observers,)."""
-        return self._lapse @ self.posterior
 
     def weber_quantiles(self, shares: Array) -> Array:
         """Return quantiles of the Weber fraction, shape (n, observers), at n probabilities.

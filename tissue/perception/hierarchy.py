@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.arrays import Array, Flags
+from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.extras import install_command
 from tissue.perception.laws import D_PRIME_75
@@ -55,27 +55,22 @@ ESS = 400.0
 
 @dataclass(frozen=True)
 class PopulationTrials:
-    """Trials of many observers, concatenated in arrays.
+    """Trials of many observers.
 
     Attributes
     ----------
     observers
         Number of observers.
-    who_compared, base_N, step_N, right
+    compared
         For each comparison: index of the observer, smaller force [N], difference to the larger
-        force [N], and True for a right answer.
-    who_rated, force_N, number
-        For each reported number: index of the observer, force [N], and number.
+        force [N], and 1 for a right answer, otherwise 0; shape (comparisons, 4).
+    rated
+        For each reported number: index of the observer, force [N], and number; shape (numbers, 3).
     """
 
     observers: int
-    who_compared: Index
-    base_N: Array
-    step_N: Array
-    right: Flags
-    who_rated: Index
-    force_N: Array
-    number: Array
+    compared: Array
+    rated: Array
 
     def counts(self) -> tuple[Index, Array, Array, Index, Index]:
         """Count trials and right answers for each observer and each distinct comparison.
@@ -83,10 +78,9 @@ class PopulationTrials:
         The result is five arrays with one entry for each combination of observer, base force and
         step: observer, base force [N], step [N], number of trials, and number of right answers.
         """
-        rows = np.column_stack([self.who_compared, self.base_N, self.step_N])
-        unique, which = np.unique(rows, axis=0, return_inverse=True)
-        asked = np.bincount(which.ravel(), minlength=len(unique))
-        right = np.bincount(which.ravel(), self.right, minlength=len(unique)).astype(int)
+        unique, which = np.unique(self.compared[:, :3], axis=0, return_inverse=True)
+        asked = np.bincount(which.ravel())
+        right = np.bincount(which.ravel(), self.compared[:, 3]).astype(int)
         return unique[:, 0].astype(int), unique[:, 1], unique[:, 2], asked, right
 
 
@@ -196,7 +190,8 @@ def fit_hierarchy(
         chain_method="sequential",
         progress_bar=progress,
     )
-    ratings = (trials.who_rated, np.log(trials.force_N), np.log(trials.number))
+    rater, force_N, number = trials.rated.T
+    ratings = (rater.astype(int), np.log(force_N), np.log(number))
     run.run(random.PRNGKey(seed), ratings, trials.counts(), extra_fields=("diverging",))
     drawn = {
         name: np.asarray(values, dtype=float)

@@ -151,21 +151,6 @@ class Deadband:
         self._fresh = True
 
 
-def held_back(wanted: Array, law: Weber) -> tuple[Array, Array]:
-    """Apply a deadband to a sequence of recorded vectors, shape (n, 3).
-
-    Return the played vectors, shape (n, 3), and a mask of the ticks in which they change, shape
-    (n,).
-    """
-    deadband = Deadband(law)
-    played = np.empty_like(wanted, dtype=float)
-    changes = np.zeros(len(wanted), dtype=bool)
-    for tick, vector in enumerate(np.asarray(wanted, dtype=float).tolist()):
-        changes[tick] = deadband.step(*vector)
-        played[tick] = deadband.held
-    return played, changes
-
-
 class Sense:
     """Model of a person's estimate of a force: noisy observations, averaged by a filter.
 

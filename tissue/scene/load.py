@@ -57,6 +57,10 @@ class OldSceneWarning(UserWarning):
     """Warning about a scene file in the format of tissue 0.2."""
 
 
+class DroppedKeyWarning(UserWarning):
+    """Warning about keys of a scene that have no effect after overrides."""
+
+
 def full_key(key: str, value: object = None) -> str:
     """Return the full dotted key for a short key: ``hand`` becomes ``device.hand``.
 
@@ -189,7 +193,7 @@ def load_scene(
         Values that replace values of the scene, keyed by dotted key, such as
         ``{"voxels.spacing_mm": 0.2}``. Keys of the table ``device`` may be given without the name
         of the table: ``hand``, ``coupling.delay_ms``. If an override makes another key of the scene
-        ineffective, that key is removed.
+        ineffective, that key is removed, and a warning names it.
     live
         True for a live run, in which the mouse moves the tool if the scene names no device.
 
@@ -217,7 +221,7 @@ def load_scene(
     if may_be_idle:
         for key in _settled(table)[1]:
             _drop(table, key)
-    scene = _replaced(table, overrides or {}, live=live)
+    scene = _replaced(table, overrides or {}, live=live, warns=True)
     # A file that cannot be used is refused here, not when the run reads its constants. The scene of
     # a saved run is loaded without this check, because its file may no longer exist.
     if scene.materials and not was_saved and not may_be_idle:
@@ -254,26 +258,31 @@ def saved_text(scene: Scene) -> str:
     return f'format = {FORMAT}\ntissue = "{package_version()}"\n{scene.to_toml()}'
 
 
-def changed(scene: Scene, overrides: Mapping[str, object]) -> Scene:
+def changed(scene: Scene, overrides: Mapping[str, object], *, warns: bool = False) -> Scene:
     """Return a copy of a scene with some values replaced, keyed by dotted key.
 
-    The value None resets a key to its default.
+    The value None resets a key to its default. With `warns`, a warning names the removed keys.
 
     Raises
     ------
     InputError
         If the changed scene is invalid.
     """
-    return _replaced(scene.model_dump(exclude_unset=True), overrides)
+    return _replaced(scene.model_dump(exclude_unset=True), overrides, warns=warns)
 
 
 def _replaced(
-    table: dict[str, Any], overrides: Mapping[str, object], *, live: bool = False
+    table: dict[str, Any],
+    overrides: Mapping[str, object],
+    *,
+    live: bool = False,
+    warns: bool = False,
 ) -> Scene:
     """Return the scene of a table after some values are replaced, keyed by dotted key.
 
-    Keys of the table that an override makes ineffective are removed. An error is raised for keys
-    that had no effect before, and for overrides that have no effect.
+    Keys of the table that an override makes ineffective are removed. With `warns`, a warning names
+    these keys. An error is raised for keys that had no effect before, and for overrides that have
+    no effect.
     """
     try:
         require_shallow(dict(overrides))
@@ -324,17 +333,25 @@ def _replaced(
             for asked in full
         )
 
-    return _scene(placed, keep=stays)
+    return _scene(placed, keep=stays, warns=warns)
 
 
-def _scene(table: Mapping[str, Any], keep: Callable[[str], bool] = lambda key: True) -> Scene:
+def _scene(
+    table: Mapping[str, Any], keep: Callable[[str], bool] = lambda key: True, *, warns: bool = False
+) -> Scene:
     """Return the scene of a table; remove keys without effect that `keep` does not accept.
 
-    If the table is invalid, the error for the first fault is raised.
+    With `warns`, a warning names the removed keys. If the table is invalid, the error for the first
+    fault is raised.
     """
-    found, _ = _settled(table, keep)
+    found, dropped = _settled(table, keep)
     if isinstance(found, InputError):
         raise found
+    if warns and dropped:
+        keys = ", ".join(sorted(dropped))
+        sentence = f"the changes leave {keys} of the scene without effect"
+        # Level 5 is the caller of `load_scene`, which has a decorator.
+        warnings.warn(sentence, DroppedKeyWarning, stacklevel=5)
     return found
 
 

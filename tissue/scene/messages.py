@@ -146,7 +146,7 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
     if is_number and kind == "less_than_equal" and got == fault["input"]:
         remedy = f"use {context['le']:g} or less"
     elif is_number and kind.startswith(("greater_than", "less_than")):
-        remedy = remedy.replace("use ", "use a value in this range, such as ")
+        remedy = remedy.replace("use a value", "use a value in this range,")
     # a value that is too small may be in metres
     if key.endswith("_mm") and kind.startswith("greater_than"):
         remedy += ", in mm"
@@ -183,18 +183,32 @@ def _unknown_key(place: _Place, table: Table, model: type[BaseModel]) -> InputEr
     keys = dict(_keys(table, model, present=names[:-1]))
     meant = _meant(names, keys)
     if meant and not keys.get(meant[0], True):
-        return _of_another_kind(place, _Place.of(meant[0], table, model), table)
+        other = _Place.of(meant[0], table, model)
+        # A misspelt key does not mean that the user wants another kind of tool or tissue.
+        if names[0] not in ("tool", "anatomy") or _source(other.model):
+            return _of_another_kind(place, other, table)
+        meant = []
     known = list(place.model.model_fields)
     if isinstance(place.value, Mapping):
         meant = [(*names[:-1], name) for name in closest(names[-1], known)]
     if meant and meant[0][:-1] != names[:-1]:
-        wanted = "be a key of this scene"
         suggested = did_you_mean([".".join(full) for full in meant])
+        listed = ""
     else:
-        wanted = f"be one of {', '.join(known)}"
         suggested = did_you_mean([full[-1] for full in meant])
-    remedy = _of_density(names, table) or "rename or remove it"
-    return InputError(place.key, wanted, f"{shown(names[-1])}{suggested}", remedy)
+        listed = f" {_owner(place)} has the keys {', '.join(known)}."
+    remedy = _of_density(names, table) or "Rename or remove it"
+    return InputError(f"{place.key} is not a known key{suggested}.{listed} {remedy}")
+
+
+def _owner(place: _Place) -> str:
+    """Return a description of the table that contains a key, for the start of a sentence."""
+    if len(place.names) == 1:
+        return "A scene"
+    part = f"The table {'.'.join(map(shown, place.names[:-1]))}"
+    if "kind" not in place.model.model_fields or len(kinds_of(place.model)) != 1:
+        return part
+    return f"{part} of kind {kinds_of(place.model)[0]}"
 
 
 def _of_density(names: Key, table: Table) -> str:
@@ -202,7 +216,7 @@ def _of_density(names: Key, table: Table) -> str:
     has_image = "density_file" in _inner(table, "anatomy")
     if has_image and names[0] == "anatomy" and "density" in names[-1]:
         return (
-            "import the CT again with --density line:SLOPE,OFFSET to scale its density, or "
+            "Import the CT again with --density line:SLOPE,OFFSET to scale its density, or "
             "remove the key"
         )
     return ""
@@ -276,6 +290,17 @@ def _of_another_kind(given: _Place, meant: _Place, table: Table) -> InputError:
     kind = kinds_of(chosen)[0]
     where = f"a {kind}"
     remedy = f"set {part}.kind = {kinds_of(others[0])[0]}"
+    own = [f"{part}.{name}" for name in closest(given.names[-1], chosen.model_fields)]
+    if own and part in ("tool", "anatomy"):
+        got = f"{shown(given.value)}{did_you_mean(own)}"
+        return InputError(given.key, f"be left out for {where}", got, "rename or remove it")
+    if part == "tool":
+        family = next((base for base in (Tool, Probe) if issubclass(chosen, base)), chosen)
+        alike = [each for each in others if issubclass(each, family)]
+        keys = ", ".join(each for each in chosen.model_fields if each != "kind")
+        remedy = f"use a key of {where} ({keys})"
+        if alike:
+            remedy = f"set tool.kind = {kinds_of(alike[0])[0]}"
     if part == "anatomy":
         usable = [each for each in others if _tool_of(each) is _tool_of(chosen)]
         if usable:
@@ -441,7 +466,7 @@ def _remedy(field: FieldInfo) -> str:
     value = field.examples[0] if field.examples else field.default
     if value == "":
         return "put it in quotes"
-    return f"use {_toml(value)}" if isinstance(value, FITTING) else SEE
+    return f"use a value such as {_toml(value)}" if isinstance(value, FITTING) else SEE
 
 
 def _addition(names: tuple[str, ...], field: FieldInfo) -> str:

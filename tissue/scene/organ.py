@@ -298,10 +298,10 @@ class Organ(Part):
     """Order of the tetrahedra. Linear tetrahedra (1) are too stiff (locking) if the tissue is
     nearly incompressible. Quadratic tetrahedra (2) take longer before the run.
     """
-    path: Literal["condensed", "lazy", "reduced"] = "condensed"
+    path: Literal["condensed", "reduced"] = "condensed"
     """Method used to evaluate the compliance of the surface in the 1 kHz loop. `condensed` computes
-    the whole compliance matrix before the run. `lazy` computes only the columns of this matrix for
-    the nodes near the tool. `reduced` approximates the matrix with a reduced basis.
+    the whole compliance matrix before the run. `reduced` approximates the matrix with a reduced
+    basis.
     """
     basis_size: Annotated[int, Needs("organ.path", "reduced")] = Field(300, ge=10, le=3000)
     """Number of vectors in the reduced basis of `path = "reduced"`."""
@@ -321,4 +321,4 @@ class Organ(Part):
     def require_valid(self) -> None:
         """Check that the exponent of an Ogden law is not 0."""
         if self.exponent == 0.0:
-            raise InputError("organ.exponent", "not be 0", "0", "use 8")
+            raise InputError("organ.exponent", "not be 0", "0", "use a value such as 8")

@@ -234,8 +234,10 @@ class Scene(Part):
     seed: int = Field(0, ge=0, lt=2**63)
     """Seed of all random draws."""
     duration_s: float | None = Field(None, ge=1e-3, le=3600, examples=[5.0])
-    """Simulated time. Default: the duration of the motion. If a simulated hand moves the tool
-    through the whole motion, the reaction time of the hand is added.
+    """Simulated time. Default: the duration of the motion. If a simulated hand moves the tool and
+    the time reaches the end of the motion, the run is longer: 0.73 s (expert), 0.82 s
+    (intermediate) or 0.9 s (novice) are added, in which the hand reacts and comes to rest. A
+    shorter time is not changed.
     """
     anatomy: AnyAnatomy
     """Anatomy on which the tool acts."""
@@ -359,7 +361,7 @@ class Scene(Part):
                 "voxels.spacing_mm",
                 f"be at most a quarter of tool.diameter_mm ({tool.diameter_mm:g})",
                 f"{self.voxels.spacing_mm:g}",
-                f"use {tool.diameter_mm / 20:g}",
+                f"use a spacing such as {tool.diameter_mm / 20:g}",
             )
         if self.stress is not None and isinstance(anatomy, Tooth):
             self._stress_fits(self.stress)

@@ -135,7 +135,7 @@ class Tool(Shaped):
                 "tool.spin_rpm",
                 "be at least 1 in size, or 0 for a tool that only touches",
                 f"{self.spin_rpm:g}",
-                "use 500",
+                "use a value such as 500",
             )
         web_mm = getattr(self, "web_mm", None) or 0.0
         if web_mm > 0.5 * self.diameter_mm:
@@ -143,7 +143,7 @@ class Tool(Shaped):
                 "tool.web_mm",
                 f"be at most half of tool.diameter_mm ({self.diameter_mm:g})",
                 f"{web_mm:g}",
-                f"use {0.18 * self.diameter_mm:.3g}",
+                f"use a value such as {0.18 * self.diameter_mm:.3g}",
             )
         peg_mm, _ = self.peg_mm
         if peg_mm >= self.diameter_mm:
@@ -151,7 +151,7 @@ class Tool(Shaped):
                 "tool.peg_diameter_mm",
                 f"be below tool.diameter_mm ({self.diameter_mm:g})",
                 f"{peg_mm:g}",
-                f"use {0.2 * self.diameter_mm:g}",
+                f"use a value such as {0.2 * self.diameter_mm:g}",
             )
 
 
@@ -248,7 +248,7 @@ class Blade(Part):
                 "tool.thickness_mm",
                 f"be less than tool.width_mm ({self.width_mm:g})",
                 f"{self.thickness_mm:g}",
-                "use 0.4",
+                "use a value such as 0.4",
             )
 
 
@@ -262,7 +262,9 @@ class Motion(Part):
         """Check that `axis` is not the zero vector."""
         # A vector that consists of rounding errors has no direction.
         if math.hypot(*self.axis) < 1e-9:
-            raise InputError("motion.axis", "have a length", "(0, 0, 0)", "use [0, 0, 1]")
+            raise InputError(
+                "motion.axis", "have a length", "(0, 0, 0)", "use a direction such as [0, 0, 1]"
+            )
 
 
 class PathMotion(Motion):

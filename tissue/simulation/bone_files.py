@@ -31,9 +31,8 @@ from tissue.simulation.bone_surface import (
 from tissue.simulation.run_folder import SavedRun, saved_placement
 from tissue.simulation.saved_fields import require_whole
 from tissue.simulation.vtk_files import (
-    image_in_file,
-    image_in_scene,
-    mesh_in_file,
+    in_file,
+    in_scene,
     write_collection,
     write_vtk,
     write_vtk_xml,
@@ -100,7 +99,7 @@ def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVo
     import pyvista
 
     try:
-        image = image_in_scene(pyvista.read(file), placement)
+        image = in_scene(pyvista.read(file), placement)
         shape = tuple(np.array(image.dimensions) - 1)
         start, left, layer, density = (
             np.ascontiguousarray(image.cell_data[name].reshape(shape, order="F"))
@@ -174,14 +173,13 @@ def write_bone(run: CarvedRun, out: Path) -> None:
     if run.parts.volume is None:
         return
     from vtkmodules.vtkIOGeometry import vtkSTLWriter
-    from vtkmodules.vtkIOXML import vtkXMLImageDataWriter, vtkXMLPolyDataWriter
 
     image = voxel_image(run.volume, run.remaining)
     placement = run.parts.placement
-    write_vtk_xml(vtkXMLImageDataWriter(), image_in_file(image, placement), out / "bone.vti")
+    write_vtk_xml(in_file(image, placement), out / "bone.vti")
     _write_nrrd(run, out / "bone.nrrd")
-    surface = mesh_in_file(carved_surface(run), placement)
-    write_vtk_xml(vtkXMLPolyDataWriter(), surface, out / "bone.vtp")
+    surface = in_file(carved_surface(run), placement)
+    write_vtk_xml(surface, out / "bone.vtp")
     if surface.n_cells:
         writer = vtkSTLWriter()
         writer.SetFileTypeToBinary()
@@ -301,8 +299,6 @@ def write_carving(run: CarvedRun, out: Path, *, report: Progress = silent) -> No
 
 
 def _write(surface: "pyvista.PolyData", path: Path, placement: Placement | None) -> None:
-    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
-
     if "Normals" in surface.point_data:  # a third of the file, and ParaView makes them
         del surface.point_data["Normals"]
-    write_vtk_xml(vtkXMLPolyDataWriter(), mesh_in_file(surface, placement), path)
+    write_vtk_xml(in_file(surface, placement), path)

@@ -317,12 +317,12 @@ def coarse_volume(volume: VoxelVolume, block: int) -> VoxelVolume:
         return volume
     middle = tuple(slice(block // 2, None, block) for _ in range(3))
     fraction = block_means(volume.fraction, block)
-    layer = np.zeros_like(fraction)
-    density = np.zeros(fraction.shape, dtype=np.uint16)
-    for target, source in ((layer, volume.layer[middle]), (density, volume.density_kg_m3[middle])):
-        # The last block may be incomplete and have no middle voxel. Its layer and density then stay
-        # 0.
-        target[tuple(slice(n) for n in source.shape)] = source
+    # The last block may be incomplete and have no middle voxel. Its layer and density are then 0.
+    short = np.subtract(fraction.shape, volume.layer[middle].shape)
+    layer, density = (
+        np.pad(values[middle], [(0, count) for count in short])
+        for values in (volume.layer, volume.density_kg_m3)
+    )
     return VoxelVolume(
         volume.origin_m, block * volume.spacing_m, fraction, layer, density, volume.layer_names
     )

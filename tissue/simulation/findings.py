@@ -1,23 +1,25 @@
 """Findings of a finished run: targets that the tool did not reach, and break-throughs."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import floor, log10
+from typing import Any
 
 import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.paths.toolpath import path_distance
 from meshes.voxels.volume import FULL, VoxelVolume
+from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.simulated import SimulatedDevice
 from tissue.haptics.hand_motion import HandMotion
 from tissue.models.tissue_model import TICK_S
-from tissue.motion.motion import Motion, frame_along
+from tissue.motion.motion import Events, Motion, frame_along
 from tissue.scene.anatomy import Bone, MolarAnatomy, Tooth
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, ThrustMotion, Tool
 from tissue.simulation.bone_surface import tool_axes
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_met import chosen_scale, force_met
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.trace import Table
 
@@ -58,6 +60,36 @@ The limit excludes a tool that leaves the bone sideways.
 """
 
 
+def findings(
+    scene: Scene, parts: Parts, trace: Table, *, path_s: float
+) -> tuple[dict[str, Any], Events]:
+    """Return the entries of the summary on the findings of a run, and its break-throughs as events.
+
+    Notes on the findings are added to the notes of `parts`. For ``path_s``, see `shortfalls`.
+    """
+    apart_mm = path_distance_mm(scene, parts.motion, trace)
+    parts.notes |= shortfalls(scene, parts, trace, path_s=path_s)
+    parts.notes |= path_note(scene, parts, apart_mm)
+    parts.notes |= region_note(parts, trace)
+    found: dict[str, Any] = {}
+    if apart_mm is not None:
+        found["path_distance_mm"] = apart_mm
+    if rise := largest_rise(trace):
+        found["largest_rise"] = rise
+    cutter = parts.cutter
+    if parts.volume is None or cutter is None or cutter.spin_rad_s == 0.0:
+        return found, []
+    # The trace is only valid while the tool is in the simulated region.
+    left = None if parts.region_end is None else parts.region_end.left_tick
+    valid = replace(trace, rows=trace.rows[:left])
+    broke = break_throughs(parts.volume, valid, radius_m=cutter.profile.radius_m)
+    if broke:
+        found["break_through"] = broke
+    return found, [
+        (each["time_s"], f"broke through, {each['plunge_mm']:.2f} mm of plunge") for each in broke
+    ]
+
+
 def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> dict[str, str]:
     """Return notes, keyed by subject, on targets that a run did not reach or remove.
 
@@ -96,8 +128,9 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
         ]
         if beyond:
             found["membranes"] = (
-                f"not all reached: the needle tip went {deepest:.3g} mm deep, and these "
-                f"lie deeper: {', '.join(beyond)}; see anatomy.membrane_depths_mm"
+                f"not all reached: the needle tip went {deepest:.3g} mm deep into the tissue, "
+                "measured from the deflected surface, and these lie deeper: "
+                f"{', '.join(beyond)}; see anatomy.membrane_depths_mm"
             )
     if isinstance(scene.anatomy, Bone) and scene.anatomy.density_file is not None:
         start = dict(zip(parts.tissue.layer_names, parts.tissue.start_m3.tolist(), strict=True))
@@ -179,11 +212,19 @@ def path_note(scene: Scene, parts: Parts, apart_mm: dict[str, float] | None) -> 
     smaller = scale * radius_mm / apart_mm["largest"]
     digits = -floor(log10(smaller))
     smaller = floor(smaller * 10.0**digits) / 10.0**digits
-    return {
-        "distance from the path": f"the tool left the path by {apart_mm['largest']:.3g} mm. The "
-        "force at the device deflects the grip of the simulated hand. Set "
-        f"coupling.force_scale = {smaller:g} instead of {scale:g}"
-    }
+    note = (
+        f"the tool left the path by {apart_mm['largest']:.3g} mm. The force at the device deflects "
+        f"the grip of the simulated hand. Set coupling.force_scale = {smaller:g} instead of "
+        f"{scale:g}"
+    )
+    friction_N = device_parameters(scene.held.kind, scene.constants).friction_N
+    felt_N = smaller * force_met(scene).force_N
+    if 0.0 < felt_N < friction_N:
+        note += (
+            f". The largest force at the device is then {felt_N:.2g} N. The friction of "
+            f"{scene.held.kind}, {friction_N:g} N, hides this force: use another device"
+        )
+    return {"distance from the path": note}
 
 
 def largest_rise(trace: Table) -> dict[str, str | float | bool]:
@@ -237,26 +278,13 @@ def _missed_caries(anatomy: Tooth, parts: Parts) -> str:
     return f"{missed}{place}; {how}move motion.points_mm to it"
 
 
-@dataclass(frozen=True)
-class BreakThrough:
-    """Break-through: exit of the tool's tip from bone during forward motion along its axis.
-
-    Attributes
-    ----------
-    time_s
-        Time of the first break-through in this hole [s].
-    plunge_mm
-        Distance travelled along the axis from the break-through until the tool reached bone again
-        or the run ended [mm]. If the tool passes through the hole several times, the largest
-        distance is used.
-    """
-
-    time_s: float
-    plunge_mm: float
-
-
-def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> list[BreakThrough]:
+def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> list[dict[str, float]]:
     """Return the break-throughs: exits of the tool's tip from bone, forward along its axis.
+
+    The entry ``time_s`` is the time of the first break-through in a hole [s]. The entry
+    ``plunge_mm`` is the distance travelled along the axis from the break-through until the tool
+    reached bone again or the run ended [mm]. If the tool passes through the hole several times, the
+    largest distance is used.
 
     The surface of the bone is where the interpolated content of voxels before the run is one half.
     The time of an exit is interpolated between ticks. Each hole counts as one break-through. An
@@ -288,7 +316,7 @@ def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> lis
         & (share[1:] < 0.5)
         & (forward > FORWARD * np.linalg.norm(steps, axis=1))
     )
-    found: list[BreakThrough] = []
+    found: list[dict[str, float]] = []
     exits_mm: list[Array] = []
     for row in np.flatnonzero(leaves):
         part = float((share[row] - 0.5) / (share[row] - share[row + 1]))
@@ -304,8 +332,8 @@ def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> lis
         across = np.linalg.norm(away - along[:, None] * axes[: row + 1], axis=1)
         if found and ((along > 0.0) & (across < 1e3 * radius_m)).any():
             hole = int(np.argmin([np.linalg.norm(exit_mm - each) for each in exits_mm]))
-            found[hole] = replace(found[hole], plunge_mm=max(found[hole].plunge_mm, plunge_mm))
+            found[hole]["plunge_mm"] = max(found[hole]["plunge_mm"], plunge_mm)
             continue
-        found.append(BreakThrough(float(row + part) * TICK_S, plunge_mm))
+        found.append({"time_s": float(row + part) * TICK_S, "plunge_mm": plunge_mm})
         exits_mm.append(exit_mm)
     return found

@@ -28,7 +28,7 @@ from tissue.motion.motion import Motion, quaternion_of
 from tissue.motion.replay import COLUMNS
 from tissue.scene.scene import Output
 from tissue.simulation.builders.parts import Parts
-from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayout, load_columns
+from tissue.simulation.trace import LEAST_LOAD, TIMING_COLUMNS, Table, TraceLayout
 from tissue.system.blas_threads import one_blas_thread
 
 SWITCH_S = 5e-5
@@ -263,10 +263,12 @@ class Loop:
         if clear is not None:
             self._notices.append(clear.notices)
             clear_names = clear.names
-        self._at = layout = TraceLayout.of(
+        layout = TraceLayout.of(
             tissue.layer_names, tissue.measure_names, motion.measure_names, clear_names
         )
-        self._loads = load_columns(layout.columns)
+        self._at = layout.at
+        is_load = [name.endswith(("_N", "_Nm")) for name in layout.columns]
+        self._loads = np.flatnonzero(is_load)
         self.trace = Table(
             layout.columns, np.zeros((ticks, len(layout.columns))), tissue.layer_names
         )
@@ -383,24 +385,24 @@ class Loop:
             self._rotation = tool.rotation.tobytes()
             self._quaternion[:] = quaternion_of(tool.rotation)
         moved, turned = tool.heading
-        row[at.time] = index * TICK_S
-        row[at.tip] = 1e3 * tool.tip_m
-        row[at.quaternion] = self._quaternion
-        row[at.velocity] = (1e3 * tool.speed_m_s) * moved
-        row[at.spin] = tool.speed_m_s * turned
-        row[at.commanded] = self._commanded
-        row[at.wrench] = response.wrench
-        row[at.removal_rate] = response.removal_rate_m3_s * 1e9
-        row[at.removed_by_layer] = volumes = 1e9 * self.parts.tissue.removed_m3
-        row[at.removed] = np.add.reduce(volumes)
+        row[at["time"]] = index * TICK_S
+        row[at["tip"]] = 1e3 * tool.tip_m
+        row[at["quaternion"]] = self._quaternion
+        row[at["velocity"]] = (1e3 * tool.speed_m_s) * moved
+        row[at["spin"]] = tool.speed_m_s * turned
+        row[at["commanded"]] = self._commanded
+        row[at["wrench"]] = response.wrench
+        row[at["removal_rate"]] = response.removal_rate_m3_s * 1e9
+        row[at["removed_by_layer"]] = volumes = 1e9 * self.parts.tissue.removed_m3
+        row[at["removed"]] = np.add.reduce(volumes)
         area = np.add.reduce(response.engaged_m2)
-        row[at.contact] = area * 1e6
-        row[at.tissue_measures] = response.measures
-        row[at.motion_measures] = self.parts.motion.measures
+        row[at["contact"]] = area * 1e6
+        row[at["tissue_measures"]] = response.measures
+        row[at["motion_measures"]] = self.parts.motion.measures
         if self.parts.keep_clear is not None:
-            row[at.clear_measures] = self.parts.keep_clear.measures
+            row[at["clear_measures"]] = self.parts.keep_clear.measures
         # -1 stands for no layer, see `Table`.
-        row[at.layer] = response.engaged_m2.argmax() if area > 0.0 else -1.0
+        row[at["layer"]] = response.engaged_m2.argmax() if area > 0.0 else -1.0
         row[self._loads[np.abs(row[self._loads]) < LEAST_LOAD]] = 0.0
 
     def finish(self) -> None:

@@ -88,8 +88,8 @@ class Region:
         high[2] = np.inf
         # The copies of a path lie across the tool's axis, so they are not deeper than the path.
         deeper = "give the motion of the scene a deeper path, because reach_mm adds no depth"
-        # 1e-9 m allows for rounding of a tip on the boundary.
-        return cls(rotation, tips.min(axis=0) - 1e-9, high + 1e-9, deeper)
+        # 1e-6 m allows for a program that rounds its poses, for example to six digits in mm.
+        return cls(rotation, tips.min(axis=0) - 1e-6, high + 1e-6, deeper)
 
     def remedies(self, tip_m: Array) -> list[str]:
         """Return the advice for a tip outside the region; empty for a tip inside."""

@@ -40,7 +40,7 @@ from tissue.simulation.builders.parts import Parts
 from tissue.simulation.loop import Stepper, undisturbed
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S, build
-from tissue.simulation.trace import LEAST_LOAD, Table
+from tissue.simulation.trace import LEAST_LOAD
 
 PROMPT: dict[str, object] = {
     "renderer": "proxy",
@@ -188,11 +188,6 @@ def _observed(times_s: Array, positions: Array, loop: WallLoop) -> Array:
     return observed
 
 
-def played_force_N(trace: Table) -> Array:
-    """Return the force before it is compressed to the range of the device [N], shape (n, 3)."""
-    return trace.vectors("filtered_force", "N")
-
-
 class MotorForces(NamedTuple):
     """Mean forces at the motor of a device in each tick except the last one.
 
@@ -249,7 +244,7 @@ def motor_forces(run: Run, ideal_N: Array | None = None) -> MotorForces:
     nearest = motor_force_N(
         motor_path(settings), force_later_N(stretch_force_N(run), lead_ticks(settings))
     )
-    played = motor_force_N(after, played_force_N(run.trace))
+    played = motor_force_N(after, run.trace.vectors("filtered_force", "N"))
     steady = run.trace.vectors("device_force", "N")
     if VIBRATION[0] in run.trace.columns:
         steady = steady - run.trace.vectors("vibration", "N")

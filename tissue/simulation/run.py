@@ -2,8 +2,7 @@
 
 import os
 import platform
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Iterable
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -23,7 +22,6 @@ from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.builders.parts import Parts
-from tissue.simulation.findings import BreakThrough, largest_rise
 from tissue.simulation.run_folder import (
     FORMAT,
     RunFolder,
@@ -78,12 +76,12 @@ class Run:
     draw
         Function that draws the pictures of the run into a folder in a given format. It returns a
         sentence for each picture that could not be drawn. `tissue.simulate` sets this attribute.
+    findings
+        Entries of the summary on the findings of the run, see `tissue.simulation.findings`.
     """
 
     path: Path | None = None
     scheduling: Scheduling | None = None
-    break_throughs: Sequence[BreakThrough] = ()
-    path_distance_mm: dict[str, float] | None = None
     draw: "Callable[[Run, Path, str], list[str]] | None" = None
     begun: RunFolder | None = None
     """Folder that received the trace during the run; None after the run was saved there."""
@@ -107,6 +105,7 @@ class Run:
         self.timing = timing
         self.events = events
         self.poses = poses
+        self.findings: Summary = {}
         self._compute = compute
 
     @classmethod
@@ -264,16 +263,11 @@ class Run:
         end = self.parts.region_end
         if end is not None and end.left_s is not None:
             found["left_region_s"] = end.left_s
-        if self.path_distance_mm is not None:
-            found["path_distance_mm"] = self.path_distance_mm
+        found |= self.findings
         if isinstance(tissue, HasHeat) and (heat_J := tissue.heat_balance_J) is not None:
             found["heat_J"] = heat_J
-        if rise := largest_rise(trace):
-            found["largest_rise"] = rise
-        if (limit := self.parts.motion.feed_limit) is not None:
-            found["feed_limit"] = asdict(limit)
-        if self.break_throughs:
-            found["break_through"] = [asdict(each) for each in self.break_throughs]
+        if limit := self.parts.motion.feed_limit:
+            found["feed_limit"] = limit
         if isinstance(tissue, HasSummary):
             found |= tissue.summary()
         found["events"] = [{"time_s": time, "what": what} for time, what in self.events]

@@ -127,14 +127,6 @@ def run_file_names() -> tuple[str, ...]:
     return (*FILES, *(f"pictures/{stem}.{kind}" for stem in stems for kind in PICTURE_FORMATS))
 
 
-def named_as_run_files(path: Path) -> set[str]:
-    """Return the names of files in a folder that have the name of a file of a run."""
-    found = {
-        each.relative_to(path).as_posix() for name in run_file_names() for each in path.glob(name)
-    }
-    return {name for name in found if (path / name).is_file() and not (path / name).is_symlink()}
-
-
 def picture_format(pictures: bool | str) -> str | None:
     """Return the format of pictures: the given format, PNG for True, None for False.
 
@@ -297,7 +289,9 @@ class SavedRun:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.summary: Summary = read_summary(self.path)
-        self.status = _status_of(self.summary)
+        self.status = str(self.summary.get("status", "interrupted"))
+        if self.status == "running" and not is_alive(self.summary.get("process")):
+            self.status = "interrupted"
         self.problem = str(self.summary.get("problem", ""))
         kept = self.path / "scene.toml"
         table = self.path / "trace.csv"
@@ -406,31 +400,21 @@ def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> 
             f"{saved.path}, which is still running",
             "wait until the run ends",
         )
+    written = listed_files(saved.path).get("run")
+    if written is None:
+        # In a folder without a marker file, the files are recognised by their names.
+        there = [each for name in run_file_names() for each in saved.path.glob(name)]
+        written = {
+            each.relative_to(saved.path).as_posix() for each in there if not each.is_symlink()
+        }
     with OwnedFolder(out, "run", run_file_names(), overwrite=overwrite):
-        for name in _files_of_run(saved.path):
-            if not pictures and name.startswith("pictures/"):
+        for name in sorted(written):
+            is_left_out = not pictures and name.startswith("pictures/")
+            if is_left_out or not (saved.path / name).is_file():
                 continue
             (out / name).parent.mkdir(parents=True, exist_ok=True)
             with whole_file(out / name) as temporary:
                 shutil.copyfile(saved.path / name, temporary)
-
-
-def _files_of_run(path: Path) -> list[str]:
-    """Return the names of the files that a run wrote into its folder.
-
-    If the folder has no marker file, files are recognised by their names.
-    """
-    written = listed_files(path).get("run", named_as_run_files(path))
-    return sorted(name for name in written if (path / name).is_file())
-
-
-def _status_of(summary: Summary) -> str:
-    """Return the status of a run from its summary.
-
-    A run that is marked as running, but whose process no longer exists, counts as interrupted.
-    """
-    status = str(summary.get("status", "interrupted"))
-    return status if status != "running" or is_alive(summary.get("process")) else "interrupted"
 
 
 def summary_of(folder: Path) -> Summary:

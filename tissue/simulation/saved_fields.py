@@ -10,7 +10,7 @@ import numpy as np
 from meshes.base.arrays import Singles
 from meshes.base.isolated_parser import parse_isolated
 from tissue.simulation.run_folder import SavedRun, saved_placement
-from tissue.simulation.vtk_files import mesh_in_scene, read_collection
+from tissue.simulation.vtk_files import in_scene, read_collection
 
 if TYPE_CHECKING:
     import pyvista
@@ -169,7 +169,7 @@ class SavedFields:
             import pyvista
 
             frames = self._frames = [
-                mesh_in_scene(pyvista.read(file), self._placement) for file in self._files
+                in_scene(pyvista.read(file), self._placement) for file in self._files
             ]
             self._same = [_same_mesh(a, b) for a, b in pairwise(frames)]
         return self._frames

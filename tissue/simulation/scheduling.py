@@ -4,7 +4,6 @@ A scheduling gap is a time in which the system did not run the thread that runs 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
@@ -28,46 +27,15 @@ A reading takes 0.1 us.
 """
 
 
-@dataclass(frozen=True)
-class MachineGaps:
-    """Times in which the system did not run the thread (scheduling gaps), measured by polling.
+def spin(seconds: float, *, now: Callable[[], float] = perf_counter) -> tuple[float, list[float]]:
+    """Read the clock repeatedly, and return the measurement time and the scheduling gaps [s].
 
-    Attributes
-    ----------
-    spun_s
-        Measurement time [s].
-    gaps_s
-        Durations of gaps of at least `LEAST_GAP_S` [s].
-    """
-
-    spun_s: float = 0.0
-    gaps_s: tuple[float, ...] = ()
-
-    def __add__(self, other: "MachineGaps") -> "MachineGaps":
-        return MachineGaps(self.spun_s + other.spun_s, self.gaps_s + other.gaps_s)
-
-    def expected(self, seconds: float) -> float:
-        """Return the expected number of scheduling gaps in a given time [s]."""
-        return len(self.gaps_s) / self.spun_s * seconds if self.spun_s > 0.0 else 0.0
-
-    @property
-    def lost_share(self) -> float:
-        """Share of the measurement time that was lost in scheduling gaps."""
-        return sum(self.gaps_s) / self.spun_s if self.spun_s > 0.0 else 0.0
-
-    @property
-    def longest_s(self) -> float:
-        """Duration of the longest scheduling gap [s]; 0 if there are none."""
-        return max(self.gaps_s, default=0.0)
-
-
-def spin(seconds: float, *, now: Callable[[], float] = perf_counter) -> MachineGaps:
-    """Read the clock repeatedly for a time [s] and return the scheduling gaps.
+    A gap is an interval of at least `LEAST_GAP_S` between two readings.
 
     Parameters
     ----------
     seconds
-        Measurement time [s].
+        Shortest measurement time [s].
     now
         Function that returns the time [s].
     """
@@ -78,7 +46,7 @@ def spin(seconds: float, *, now: Callable[[], float] = perf_counter) -> MachineG
         if this - last >= LEAST_GAP_S:
             gaps.append(this - last)
         last = this
-    return MachineGaps(last - start, tuple(gaps))
+    return last - start, gaps
 
 
 def spin_time_s(simulated_s: float) -> float:
@@ -104,17 +72,21 @@ class Scheduling:
         self._cores = cores or core_count()
         self._spin_s = spin_s
         self._background = tissue.scheduling if isinstance(tissue, SchedulesBackground) else ""
-        self.gaps = spin(spin_s) if spin_s > 0.0 else MachineGaps()
+        self._spun_s = 0.0
+        self._gaps_s: list[float] = []
+        self.poll()
         self._before = self._after = launch_counts()
 
     def end(self) -> None:
         """Record how many kernels were launched up to the end of the ticks."""
         self._after = launch_counts()
 
-    def look_again(self) -> None:
-        """Poll the clock again, after the work in the background has ended."""
+    def poll(self) -> None:
+        """Poll the clock, before the ticks and after the work in the background has ended."""
         if self._spin_s > 0.0:
-            self.gaps += spin(self._spin_s)
+            spun_s, gaps_s = spin(self._spin_s)
+            self._spun_s += spun_s
+            self._gaps_s += gaps_s
 
     def summary(self, *, ticks_s: float) -> dict[str, Any]:
         """Return entries for the summary of the run.
@@ -134,13 +106,14 @@ class Scheduling:
         found: dict[str, Any] = {
             "scheduling": chosen | ({"background": self._background} if self._background else {})
         }
-        if self.gaps.spun_s > 0.0:
+        if self._spun_s > 0.0:
+            count = len(self._gaps_s)
             found["machine_gaps"] = {
                 "least_us": 1e6 * LEAST_GAP_S,
-                "spun_s": self.gaps.spun_s,
-                "count": len(self.gaps.gaps_s),
-                "longest_us": 1e6 * self.gaps.longest_s,
-                "lost_share": self.gaps.lost_share,
-                "expected_in_ticks": self.gaps.expected(ticks_s),
+                "spun_s": self._spun_s,
+                "count": count,
+                "longest_us": 1e6 * max(self._gaps_s, default=0.0),
+                "lost_share": sum(self._gaps_s) / self._spun_s,
+                "expected_in_ticks": count / self._spun_s * ticks_s,
             }
         return found

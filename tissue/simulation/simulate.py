@@ -26,16 +26,10 @@ from tissue.scene.registry import ANATOMIES, PREDICTORS
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import used_constants
 from tissue.simulation.builders.arguments import given_note
+from tissue.simulation.builders.loop import horizon_text
 from tissue.simulation.builders.parts import Parts, TissueBuilder, motion_of, require_stated_rate
 from tissue.simulation.builders.prediction import ADAPTIVE
-from tissue.simulation.findings import (
-    BreakThrough,
-    break_throughs,
-    path_distance_mm,
-    path_note,
-    region_note,
-    shortfalls,
-)
+from tissue.simulation.findings import findings
 from tissue.simulation.loop import Loop, undisturbed
 from tissue.simulation.run import Run
 from tissue.simulation.run_folder import RunFolder
@@ -157,7 +151,14 @@ def simulate(
             allow_unstable=allow_unstable,
         )
         if device is not None:
-            _use_device(device, scene, parts.motion)
+            assert isinstance(parts.motion, HandMotion), "a scene with a device"
+            kind = scene.held.kind
+            limits = device_parameters(kind, scene.constants)
+            remedy = f"state devices.{kind}.rate_Hz in a file of constants for the key materials"
+            require_stated_rate(device, limits, remedy=remedy)
+            parts.motion.device = device
+            # With a caller's device there is no simulated hand, which would need time to react.
+            parts.motion.after_s = 0.0
         if any(each.paces for each in observers) and isinstance(parts.tissue, MayLag):
             parts.tissue.waits = False
         ticks = tick_count(scene, parts.motion)
@@ -180,26 +181,17 @@ def simulate(
         )
         trace = loop.trace
         if isinstance(parts.motion, HandMotion) and parts.motion.predictor is not None:
-            parts.notes |= _prediction_note(trace, parts.motion)
+            parts.notes |= _prediction_note(trace, parts.motion, scene)
         # With a device, the user decides when the run ends, so an early end is not noted.
-        parts.notes |= shortfalls(
-            scene, parts, trace, path_s=ticks * TICK_S if device is None else inf
-        )
-        apart_mm = path_distance_mm(scene, parts.motion, trace)
-        parts.notes |= path_note(scene, parts, apart_mm)
-        parts.notes |= region_note(parts, trace)
-        broke = _break_throughs(parts, trace)
-        through = [
-            (each.time_s, f"broke through, {each.plunge_mm:.2f} mm of plunge") for each in broke
-        ]
+        path_s = ticks * TICK_S if device is None else inf
+        found, through = findings(scene, parts, trace, path_s=path_s)
         events = sorted(loop.events + parts.motion.happened() + through, key=lambda event: event[0])
         run = Run(
             scene, parts, trace, loop.timing, events=events, poses=loop.poses, compute=compute
         )
         run.begun = folder
         run.scheduling = scheduling
-        run.break_throughs = broke
-        run.path_distance_mm = apart_mm
+        run.findings = found
     return run
 
 
@@ -223,29 +215,6 @@ def _require_runnable(
         raise InputError(
             "scene", "name the device that is given", "none", "set device, such as touch"
         )
-
-
-def _use_device(device: Device | SafeDevice, scene: Scene, motion: Motion) -> None:
-    """Replace the simulated device and hand of a motion by a given device."""
-    assert isinstance(motion, HandMotion), "a scene with a device"
-    kind = scene.held.kind
-    require_stated_rate(
-        device,
-        device_parameters(kind, scene.constants),
-        remedy=f"state devices.{kind}.rate_Hz in a file of constants for the key materials",
-    )
-    motion.device = device
-    # With a caller's device there is no simulated hand, which would need time to react.
-    motion.after_s = 0.0
-
-
-def _break_throughs(parts: Parts, trace: Table) -> list[BreakThrough]:
-    """Return the break-throughs of a cutting tool while it is in the simulated region."""
-    if parts.volume is None or parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
-        return []
-    left = None if parts.region_end is None else parts.region_end.left_tick
-    valid = Table(trace.columns, trace.rows[:left], trace.layer_names)
-    return break_throughs(parts.volume, valid, radius_m=parts.cutter.profile.radius_m)
 
 
 def _run_ticks(
@@ -313,14 +282,14 @@ def _run_ticks(
             raise
     scheduling.end()
     loop.finish()
-    scheduling.look_again()
+    scheduling.poll()
     loop.close()
     if folder is not None:
         folder.flush(loop.ticks, force=True)
     return scheduling
 
 
-def _prediction_note(trace: Table, motion: HandMotion) -> dict[str, str]:
+def _prediction_note(trace: Table, motion: HandMotion, scene: Scene) -> dict[str, str]:
     """Return a note on the error of the predicted forces.
 
     There is no note if the tool was not in contact, or if the tissue model does not respond in
@@ -338,10 +307,11 @@ def _prediction_note(trace: Table, motion: HandMotion) -> dict[str, str]:
     missed, held = (
         100.0 * float(np.linalg.norm((later - force)[:known])) / size for force in (predicted, raw)
     )
+    horizon = horizon_text(1e3 * ticks * TICK_S, scene.held.coupling.delay_ms)
     compared = "worse than zero-order hold with" if missed > held else "zero-order hold has"
     share = 100.0 * float(trace["predicted_by"][np.any(raw != 0.0, axis=1)].mean())
     return {
-        "prediction": f"RMS error {missed:.2g} % of the force at a horizon of {ticks:.3g} ms; "
+        "prediction": f"RMS error {missed:.2g} % of the force at a horizon of {horizon}; "
         f"{compared} {held:.2g} %. The predictor's own force was used in {share:.3g} % of the "
         "ticks in contact"
     }

@@ -160,42 +160,23 @@ class TraceWriter:
 
 @dataclass(frozen=True)
 class TraceLayout:
-    """Indices of the columns of the trace, grouped by quantity.
+    """Columns of the trace.
 
     Attributes
     ----------
     columns
         Names of all columns, which end with the unit.
-    time, removal_rate, removed, contact, layer
-        Index of the column of the quantity that the name of the attribute states.
-    tip, quaternion, velocity, spin
-        Indices of the columns of the pose, the velocity and the spin of the tool.
-    commanded, wrench
-        Indices of the columns of force and torque: commanded to the device, and computed by the
-        model.
-    removed_by_layer
-        Indices of the columns of the removed volume, one for each layer.
-    tissue_measures, motion_measures, clear_measures
-        Indices of the columns of the measures of tissue and motion, and of the distances to
-        structures that must not be touched.
+    at
+        Indices of the columns of each quantity. The keys are ``time``, ``tip``, ``quaternion``,
+        ``velocity``, ``spin``, ``commanded``, ``wrench``, ``removal_rate``, ``removed``,
+        ``removed_by_layer``, ``contact``, ``tissue_measures``, ``motion_measures``,
+        ``clear_measures`` and ``layer``. The forces and torques are ``commanded`` to the device, or
+        computed by the model (``wrench``). ``clear_measures`` are the distances to structures that
+        must not be touched.
     """
 
     columns: tuple[str, ...]
-    time: int
-    tip: slice
-    quaternion: slice
-    velocity: slice
-    spin: slice
-    commanded: slice
-    wrench: slice
-    removal_rate: int
-    removed: int
-    removed_by_layer: slice
-    contact: int
-    tissue_measures: slice
-    motion_measures: slice
-    clear_measures: slice
-    layer: int
+    at: dict[str, slice]
 
     @classmethod
     def of(
@@ -206,39 +187,31 @@ class TraceLayout:
         clear_measures: tuple[str, ...] = (),
     ) -> "TraceLayout":
         """Return the layout for the given layers and measures."""
-        groups: dict[str, str | tuple[str, ...]] = {
-            "time": "time_s",
+        groups = {
+            "time": ("time_s",),
             "tip": components("tool", "mm"),
             "quaternion": tuple(f"tool_q{c}" for c in "xyzw"),
             "velocity": components("velocity", "mm_s"),
             "spin": components("angular_velocity", "rad_s"),
             "commanded": components("force", "N") + components("torque", "Nm"),
             "wrench": components("model_force", "N") + components("model_torque", "Nm"),
-            "removal_rate": "removal_rate_mm3_s",
-            "removed": "removed_mm3",
+            "removal_rate": ("removal_rate_mm3_s",),
+            "removed": ("removed_mm3",),
             "removed_by_layer": tuple(
                 f"removed_{name}_mm3".replace(" ", "_") for name in layer_names
             ),
-            "contact": "contact_mm2",
+            "contact": ("contact_mm2",),
             "tissue_measures": tissue_measures,
             "motion_measures": motion_measures,
             "clear_measures": clear_measures,
-            "layer": "layer",
+            "layer": ("layer",),
         }
         columns: list[str] = []
-        places: dict[str, Any] = {}
-        for field, names in groups.items():
-            start = len(columns)
-            columns += [names] if isinstance(names, str) else names
-            places[field] = start if isinstance(names, str) else slice(start, len(columns))
-        return cls(tuple(columns), **places)
-
-
-def load_columns(columns: tuple[str, ...]) -> NDArray[np.intp]:
-    """Return the indices of force and torque columns of a trace."""
-    return np.array(
-        [place for place, name in enumerate(columns) if name.endswith(("_N", "_Nm"))], dtype=np.intp
-    )
+        at = {}
+        for quantity, names in groups.items():
+            at[quantity] = slice(len(columns), len(columns) + len(names))
+            columns += names
+        return cls(tuple(columns), at)
 
 
 def check_format(kind: str) -> None:

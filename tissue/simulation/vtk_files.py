@@ -6,7 +6,7 @@ and are rotated. Cell arrays are not rotated, because the three numbers of a cel
 stresses, which are not a vector. The functions that write files raise an error if the disk is full.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -24,68 +24,70 @@ if TYPE_CHECKING:
     from vtkmodules.vtkIOGeometry import vtkSTLWriter
     from vtkmodules.vtkIOXML import vtkXMLWriter
 
-Mesh = TypeVar("Mesh", bound="pyvista.PointSet")
+Data = TypeVar("Data", bound="pyvista.DataSet")
 CELL_TYPES = {4: 10, 8: 12}
 """VTK cell types of tetrahedron and hexahedron, keyed by the number of nodes of a cell."""
 
 
-def mesh_in_file(mesh: Mesh, placement: Placement | None) -> Mesh:
-    """Convert a mesh of the scene [mm] to the frame and unit of the anatomy's file.
+def in_file(data: Data, placement: Placement | None) -> Data:
+    """Convert a mesh or voxels of the scene [mm] to the frame and unit of the anatomy's file.
 
-    Without a placement, the mesh is returned unchanged.
+    The axes of voxels are stored as the direction matrix of the image. Without a placement, the
+    data are returned unchanged.
     """
     if placement is None:
-        return mesh
-    return _moved(mesh, placement.to_file(_points(mesh)), placement.rotation.T)
+        return data
+    return _moved(data, placement.to_file, 1.0 / placement.unit_mm, placement.rotation)
 
 
-def mesh_in_scene(mesh: Any, placement: Placement | None) -> Any:
-    """Convert a mesh in the frame of the anatomy's file to the frame of the scene [mm].
+def in_scene(data: Data, placement: Placement | None) -> Data:
+    """Convert a mesh or voxels in the frame of the anatomy's file to the frame of the scene [mm].
 
-    Without a placement, the mesh is returned unchanged.
+    Without a placement, the data are returned unchanged.
     """
     if placement is None:
-        return mesh
-    return _moved(mesh, placement.to_scene(_points(mesh)), placement.rotation)
+        return data
+    return _moved(data, placement.to_scene, placement.unit_mm, placement.rotation.T)
 
 
-def image_in_file(image: Any, placement: Placement | None) -> "pyvista.ImageData":
-    """Convert voxels of the scene [mm] to the frame and unit of the anatomy's file.
+def _moved(data: Data, to_other: Callable[[Array], Array], scale: float, turn: Array) -> Data:
+    """Return a copy of a mesh or of voxels in another frame.
 
-    The axes of the image are stored as its direction matrix.
-
-    Without a placement, the voxels are returned unchanged.
+    Parameters
+    ----------
+    data
+        Mesh or voxels.
+    to_other
+        Function that converts points, shape (n, 3), to the other frame.
+    scale
+        Factor by which lengths are multiplied.
+    turn
+        Rotation matrix by which vectors are multiplied.
     """
-    if placement is None:
-        return image
-    origin = placement.to_file(np.array([image.origin]))[0]
-    spacing = [size / placement.unit_mm for size in image.spacing]
-    return _placed(image, origin, spacing, placement.rotation)
+    import pyvista
 
-
-def image_in_scene(image: Any, placement: Placement | None) -> "pyvista.ImageData":
-    """Convert voxels in the frame of the anatomy's file to the frame of the scene [mm].
-
-    Without a placement, the voxels are returned unchanged.
-    """
-    if placement is None:
-        return image
-    origin = placement.to_scene(np.array([image.origin]))[0]
-    spacing = [size * placement.unit_mm for size in image.spacing]
-    return _placed(image, origin, spacing, placement.rotation.T @ np.array(image.direction_matrix))
-
-
-def _placed(image: Any, origin: Array, spacing: list[float], turn: Array) -> Any:
-    """Return a shallow copy of an image with another origin, spacing and direction."""
-    moved = image.copy(deep=False)
-    moved.origin = origin.tolist()
-    moved.spacing = spacing
-    moved.direction_matrix = turn
+    moved: Any = data.copy(deep=False)
+    if isinstance(data, pyvista.ImageData):
+        moved.origin = to_other(np.array([data.origin]))[0].tolist()
+        moved.spacing = [size * scale for size in data.spacing]
+        moved.direction_matrix = turn @ np.array(data.direction_matrix)
+        return moved
+    points = to_other(np.asarray(data.points, dtype=np.float64))
+    single = np.ascontiguousarray(points, dtype=np.float32)
+    # An assignment to moved.points would change the original.
+    moved.SetPoints(pyvista.vtk_points(single))  # type: ignore[arg-type]
+    for name, values in data.point_data.items():
+        if values.ndim == 2 and values.shape[1] == 3:
+            turned = np.asarray(values, dtype=np.float64) @ turn.T
+            moved.point_data[name] = turned.astype(values.dtype)
     return moved
 
 
-def write_vtk_xml(writer: "vtkXMLWriter", data: "pyvista.DataSet", path: Path) -> None:
+def write_vtk_xml(data: "pyvista.DataSet", path: Path) -> None:
     """Write a VTK XML file with compressed raw data."""
+    from vtkmodules.vtkIOXML import vtkXMLDataSetWriter
+
+    writer = vtkXMLDataSetWriter()
     writer.SetCompressorTypeToZLib()
     # Level 1 takes a quarter of the time of level 6, for a file that is 1.3 times as large. VTK
     # compresses block by block; with blocks of 1 MiB there are few blocks.
@@ -168,25 +170,6 @@ def read_collection(index: Path) -> list[tuple[float, int, str]]:
     )
 
 
-def _points(mesh: "pyvista.PointSet") -> Array:
-    return np.asarray(mesh.points, dtype=np.float64)
-
-
-def _moved(mesh: Mesh, points: Array, turn: Array) -> Mesh:
-    """Return a copy of a mesh with new points, and with vectors v replaced by v @ turn."""
-    import pyvista
-
-    moved = mesh.copy(deep=False)
-    single = np.ascontiguousarray(points, dtype=np.float32)
-    moved.SetPoints(pyvista.vtk_points(single))  # type: ignore[arg-type]  # moved.points = would change the original
-    for name, values in mesh.point_data.items():
-        if values.ndim == 2 and values.shape[1] == 3:
-            moved.point_data[name] = (np.asarray(values, dtype=np.float64) @ turn).astype(
-                values.dtype
-            )
-    return moved
-
-
 def frame_mesh(series: FieldSeries, frame: Frame) -> "pyvista.UnstructuredGrid":
     """Return the mesh of one frame [mm], without removed cells and unused nodes.
 
@@ -220,13 +203,11 @@ def write_fields(series: FieldSeries, folder: Path, placement: Placement | None 
 
     With a placement, the meshes are in the frame and unit of the anatomy's file.
     """
-    from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
-
     (folder / "fields").mkdir(parents=True, exist_ok=True)
     entries = []
     for index, frame in enumerate(series.frames):
         name = f"fields/frame_{index:04d}.vtu"
-        mesh = mesh_in_file(frame_mesh(series, frame), placement)
-        write_vtk_xml(vtkXMLUnstructuredGridWriter(), mesh, folder / name)
+        mesh = in_file(frame_mesh(series, frame), placement)
+        write_vtk_xml(mesh, folder / name)
         entries.append((float(frame.time_s), 0, name))
     write_collection(entries, folder / "fields.pvd")

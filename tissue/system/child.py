@@ -340,9 +340,7 @@ class Helper:
         answers = self._answers
         assert stream is not None
         if not self.kill.alive:
-            raise HelperLostError(
-                f"the process that {self._does} {_how_ended(self._process.returncode)}"
-            )
+            raise self._lost()
 
         def read() -> None:
             try:
@@ -360,7 +358,7 @@ class Helper:
                 why = detector.check()
                 if why is not None:
                     self.kill()
-                    raise HelperLostError(f"the process that {self._does} {why}") from None
+                    raise self._lost(why) from None
             except BaseException:
                 # for example Ctrl-C: a later call would read this answer as the answer to its
                 # message
@@ -370,13 +368,17 @@ class Helper:
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(ENDS_S)
             self.kill()
-            raise HelperLostError(
-                f"the process that {self._does} {_how_ended(self._process.returncode)}"
-            )
+            raise self._lost()
         if isinstance(answer, BaseException):
             self.end()
             raise answer
         return answer
+
+    def _lost(self, why: str = "") -> HelperLostError:
+        """Return the error for a helper that is lost; without a reason, it has ended."""
+        return HelperLostError(
+            f"the process that {self._does} {why or _how_ended(self._process.returncode)}"
+        )
 
     def end(self) -> None:
         """End the helper by closing its standard input."""

@@ -255,16 +255,12 @@ def listed_files(path: Path) -> Files:
         if marker.is_symlink() or not marker.is_file() or marker.stat().st_size > LONGEST_MARKER:
             raise ValueError(marker)
         held = read_json(marker.read_text("utf-8"))
-        if (
-            held["format"] != FORMAT
-            or held["version"] != VERSION
-            or not isinstance(held["tissue"], str)
-        ):
-            raise ValueError(marker)
+        is_known = held["format"] == FORMAT and held["version"] == VERSION
         files = {
             kind: set(names) for kind, names in held["files"].items() if isinstance(names, list)
         }
-        if not all(_is_inside(name) for names in files.values() for name in names):
+        are_inside = all(_is_inside(name) for names in files.values() for name in names)
+        if not (is_known and are_inside and isinstance(held["tissue"], str)):
             raise ValueError(marker)
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         raise InputError(
@@ -299,10 +295,7 @@ def _present(path: Path, names: Iterable[str]) -> set[str]:
 
 def _has_foreign_parent(path: Path, name: str) -> bool:
     """Return True if a folder in a relative file name exists but is a file or a symbolic link."""
-    parents = [
-        path.joinpath(*PurePosixPath(name).parts[:count])
-        for count in range(1, len(PurePosixPath(name).parts))
-    ]
+    parents = [path / each for each in PurePosixPath(name).parents if each.name]
     return any(
         os.path.lexists(each) and (each.is_symlink() or not each.is_dir()) for each in parents
     )

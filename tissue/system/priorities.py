@@ -6,8 +6,9 @@ Priorities are raised during a run if the operating system permits this, and res
 import os
 import sys
 import threading
+from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 
 from kernels.cores import allowed_cores, cores_without, current_core
 
@@ -49,11 +50,11 @@ class TickPriority:
     def __init__(self) -> None:
         self.granted = USUAL
         self._thread = 0
-        self._before: tuple[str, int, int] | None = None
+        self._restore: Callable[[], object] | None = None
 
     def begin(self) -> None:
         """Raise the priority of the calling thread."""
-        if self._before is not None:
+        if self._restore is not None:
             return
         self._thread = threading.get_native_id()
         if sys.platform == "win32":
@@ -65,36 +66,24 @@ class TickPriority:
 
     def end(self) -> None:
         """Restore the priority; callable from any thread, even after the raised one has ended."""
-        before = self._before
-        self._before = None
-        if before is None:
+        restore = self._restore
+        self._restore = None
+        if restore is None:
             return
         self.granted = USUAL
-        kind, value, detail = before
         with suppress(OSError):
-            if kind == "policy":
-                _schedule(self._thread, value, detail)
-            elif kind == "niceness":
-                os.setpriority(os.PRIO_PROCESS, self._thread, value)
-            elif kind == "class":
-                _windows_class(value)
-            # macOS can change only the class of the calling thread, and the old class cannot be
-            # read.
-            elif threading.get_native_id() == self._thread:
-                _macos_class(DEFAULT)
+            restore()
 
     def _begin_linux(self) -> None:
         if not hasattr(os, "sched_setscheduler"):
             self.granted = f"{USUAL}: this system offers no other priority"
             return
         try:
-            before = (
-                os.sched_getscheduler(self._thread),
-                os.sched_getparam(self._thread).sched_priority,
-            )
+            policy = os.sched_getscheduler(self._thread)
+            priority = os.sched_getparam(self._thread).sched_priority
             flag = os.SCHED_RESET_ON_FORK  # threads and processes that it starts do not inherit it
             os.sched_setscheduler(self._thread, os.SCHED_FIFO | flag, os.sched_param(REALTIME))
-            self._before = ("policy", *before)
+            self._restore = partial(_schedule, self._thread, policy, priority)
             self.granted = f"real-time priority {REALTIME} (SCHED_FIFO)"
             return
         except OSError:
@@ -102,7 +91,7 @@ class TickPriority:
         try:
             niceness = os.getpriority(os.PRIO_PROCESS, self._thread)
             os.setpriority(os.PRIO_PROCESS, self._thread, NICE)
-            self._before = ("niceness", niceness, 0)
+            self._restore = partial(os.setpriority, os.PRIO_PROCESS, self._thread, niceness)
             self.granted = (
                 f"niceness {NICE}: the system grants no real-time priority, see rtprio "
                 "in /etc/security/limits.conf"
@@ -117,7 +106,7 @@ class TickPriority:
         import psutil
 
         try:
-            self._before = ("class", _windows_class(HIGH), 0)
+            self._restore = partial(_windows_class, _windows_class(HIGH))
             self.granted = "high priority of the process"
         except (OSError, psutil.Error) as refused:
             self.granted = f"{USUAL}: a higher priority was refused ({refused})"
@@ -125,10 +114,15 @@ class TickPriority:
     def _begin_macos(self) -> None:
         try:
             _macos_class(USER_INTERACTIVE)
-            self._before = ("quality", 0, 0)
+            self._restore = self._end_macos
             self.granted = "quality of service of user-interactive threads"
         except (OSError, AttributeError) as refused:
             self.granted = f"{USUAL}: a higher priority was refused ({refused})"
+
+    def _end_macos(self) -> None:
+        # macOS can change only the class of the calling thread, and the old class cannot be read.
+        if threading.get_native_id() == self._thread:
+            _macos_class(DEFAULT)
 
 
 def _schedule(thread: int, policy: int, priority: int) -> None:

@@ -2,22 +2,7 @@
 
 import numpy as np
 
-from meshes.base.cache import cached_arrays, read_entry, write_entry
-
-
-def test_a_text_entry_is_kept_whole_or_not_at_all(tmp_path, monkeypatch):
-    path = tmp_path / "deep" / "entry.csv"
-    text = "a,b\r\n1,2.5\r\n3,µ\r\n"
-    assert read_entry(path) is None
-    write_entry(path, text)
-    assert read_entry(path) == text
-    whole = path.read_bytes()
-    for damaged in (whole[:-1], whole.replace(b"2.5", b"3.5"), whole[20:], b"\xff" + whole, b""):
-        path.write_bytes(damaged)
-        assert read_entry(path) is None
-    path.write_bytes(whole)
-    monkeypatch.setattr("meshes.base.cache.package_version", lambda: "0.0.1")
-    assert read_entry(path) is None
+from meshes.base.cache import cached_arrays
 
 
 def test_arrays_with_a_damaged_header_are_computed_again(tmp_path, monkeypatch):
@@ -39,3 +24,26 @@ def test_arrays_with_a_damaged_header_are_computed_again(tmp_path, monkeypatch):
         path.write_bytes(damaged)
         np.testing.assert_array_equal(cached_arrays("test", [1], make)["found"], expected)
         assert path.read_bytes() == whole
+
+
+def test_arrays_with_a_damaged_value_or_of_another_version_are_computed_again(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setenv("TISSUE_CACHE", str(tmp_path))
+    made = []
+
+    def make():
+        made.append(1)
+        return {"found": np.array([1.0, 2.5])}
+
+    cached_arrays("test", [1], make)
+    cached_arrays("test", [1], make)
+    (path,) = tmp_path.iterdir()
+    whole = path.read_bytes()
+    value = np.array([2.5]).tobytes()
+    for damaged in (whole[:-1], whole.replace(value, np.array([3.5]).tobytes()), whole[20:], b""):
+        path.write_bytes(damaged)
+        assert cached_arrays("test", [1], make)["found"].tolist() == [1.0, 2.5]
+    monkeypatch.setattr("meshes.base.cache.package_version", lambda: "0.0.1")
+    cached_arrays("test", [1], make)
+    assert len(made) == 6

@@ -76,7 +76,7 @@ from tissue.scene.load import scene_names
         ),
         (
             ("run", "milling", "--duration-s", "nan"),
-            "duration_s must be at least 0.001 and at most 3600, got nan. Use 5",
+            "duration_s must be at least 0.001 and at most 3600, got nan. Use a value such as 5",
         ),
         (
             ("run", "milling", "--seed", "1.5"),

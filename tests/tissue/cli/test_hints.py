@@ -109,6 +109,25 @@ def test_a_feed_is_no_key_of_a_scene_that_is_driven_by_thrust(key):
     assert "Set motion.feed_mm_s, which drives this scene" in refusal("glenoid", "motion.force_N")
 
 
+def test_a_misspelt_key_of_another_tool_names_the_keys_of_the_tool():
+    message = refusal("incision", "tool.lenght_mm")
+    assert message == (
+        "tool.lenght_mm is not a known key. The table tool of kind blade has the keys kind, "
+        "width_mm, thickness_mm, edge_deg. Rename or remove it"
+    )
+    assert "(did you mean width_mm?)" in refusal("incision", "tool.widht_mm")
+    message = refusal("incision", "tool.length_mm")
+    assert "Use a key of a blade (width_mm, thickness_mm, edge_deg), or remove it" in message
+    assert "Set tool.kind = cylinder-probe" in refusal("liver-press", "tool.length_mm")
+
+
+def test_the_densities_of_a_vertebra_are_suggested():
+    message = refusal("pedicle", "anatomy.density_kg_m3", 900.0)
+    for name in ("trabecular", "pedicle", "cortical"):
+        assert f"anatomy.{name}_density_kg_m3" in message
+    assert "anatomy.kind" not in message
+
+
 @pytest.mark.parametrize("key", ["noise", "output.colour", "cutting.energy"])
 def test_no_key_is_suggested_for_another_meaning(key):
     assert "did you mean" not in refusal("glenoid", key)

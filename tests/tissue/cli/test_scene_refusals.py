@@ -61,6 +61,14 @@ def test_a_bad_entry_is_refused_by_its_name_and_value(refused, here, override, a
     assert not (here / "runs").exists()
 
 
+def test_a_note_names_keys_that_an_override_makes_ineffective(command, here):
+    options = ("--set", "voxels.spacing_mm=0.5", "--duration-s", 0.01, "--no-pictures")
+    code, _, problems = command("run", "pedicle", *options, "--set", "device=touch")
+    assert code == 0 and problems == (
+        "note: the changes leave motion.max_feed_mm_s of the scene without effect\n"
+    )
+
+
 def test_a_motion_without_end_is_refused(refused, here):
     path = here / "slow.toml"
     path.write_text(scene_text("milling").replace("duration_s = 9.0\n", ""))
@@ -92,7 +100,8 @@ def test_voxels_that_do_not_fit_the_memory_are_refused_with_what_would_fit(
     monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=1e9))
     message = refused("run", "milling", "--set", "voxels.spacing_mm=0.02", "--no-pictures")
     assert all(
-        word in message for word in ("voxels.spacing_mm", "1.0 GB", "0.02", "2.0 GB", "Use 0.03")
+        word in message
+        for word in ("voxels.spacing_mm", "1.0 GB", "0.02", "2.0 GB", "Use a spacing such as 0.03")
     )
     monkeypatch.setattr("psutil.virtual_memory", lambda: SimpleNamespace(available=2e6))
     fits = refused("run", "milling", "--set", "voxels.spacing_mm=0.1", "--no-pictures").rsplit(

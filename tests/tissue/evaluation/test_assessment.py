@@ -341,6 +341,28 @@ def test_a_run_that_breached_a_structure_is_never_ranked_above_one_that_did_not(
         rank(tmp_path / "people", reference, lambda folder: only[folder.name])
 
 
+def test_a_drilling_is_scored_until_the_tip_reaches_its_depth(tmp_path):
+    """The hand rests after the drilling for four times as long."""
+    depth = np.linspace(-1.0, 20.0, 1500)
+    path = np.column_stack([np.zeros((1500, 2)), -depth])
+    path = np.concatenate([shaken(path, 0.1), np.broadcast_to(path[-1], (6000, 3))])
+    run = scored(tmp_path, saved(tmp_path / "r", path))
+    assert "6.3 mm/s or faster for" in assess(run, run).unscored
+    run.scene = load_scene("pedicle", {"device": "touch"})
+    assert assess(run, run).steadiness is not None
+
+
+def test_the_removed_volume_is_compared_with_the_reference(tmp_path):
+    runs = []
+    for name, removed_mm3 in (("t", 1.3), ("r", 2.0)):
+        run = saved(tmp_path / name, reach(1.0))
+        run.trace.rows[:, run.trace.columns.index("removed_mm3")] = removed_mm3
+        runs.append(run)
+    found = assess(*runs)
+    assert found.figures["removed_mm3"] == {"trainee": 1.3, "reference": 2.0}
+    assert "removed: 1.3 mm3 against 2, 65 % of the reference's" in assessment_lines(found)
+
+
 def test_constants_of_a_trainee_do_not_change_the_scale_of_the_score(tmp_path):
     path = shaken(reach(1.5), 0.1)
     file = constants(tmp_path / "m.toml", table="hands.novice", name="tremor_m", value=2e-4)

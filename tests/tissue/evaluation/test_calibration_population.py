@@ -74,13 +74,15 @@ def test_a_population_is_recovered(tmp_path):
     fit = fit_hierarchy(
         PopulationTrials(
             count,
-            np.tile(everyone, 60),
-            np.repeat(base, count),
-            np.repeat(step, count),
-            right.ravel(),
-            np.tile(everyone, 12),
-            np.repeat(forces, count),
-            numbers.ravel(),
+            np.column_stack(
+                [
+                    np.tile(everyone, 60),
+                    np.repeat(base, count),
+                    np.repeat(step, count),
+                    right.ravel(),
+                ]
+            ),
+            np.column_stack([np.tile(everyone, 12), np.repeat(forces, count), numbers.ravel()]),
         ),
         warm_up=120,
         draws=120,

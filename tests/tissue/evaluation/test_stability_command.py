@@ -8,6 +8,7 @@ import pytest
 def test_a_map_is_printed_and_kept(command, here):
     code, out, error = command("stability", "wall", "--out", "map")
     assert (code, error) == (0, "")
+    assert "delay 0.5 ms (coupling.delay_ms = 0, and 0.5 ms for device and tissue model)" in out
     assert "chosen: stiffness 400 N/m is stable" in out and "delay  0.0 ms: stable below" in out
     assert (here / "map" / "stability.png").stat().st_size > 10_000
     rows = np.genfromtxt(here / "map" / "stability_delay.csv", delimiter=",", names=True)

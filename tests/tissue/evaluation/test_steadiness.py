@@ -176,6 +176,11 @@ def test_a_report_contains_the_assessment(runs, tmp_path):
     path = tissue.report(trainee, tmp_path / "report.html", against=reference)
     text = path.read_text("utf-8")
     assert "<h2>Assessment</h2>" in text and "<li>score: " in text
+    limited = tmp_path / "limited.html"
+    text = tissue.report(trainee, limited, against=reference, force_limit_N=7.25).read_text("utf-8")
+    assert "limits: force 7.25 N" in text
+    with pytest.raises(InputError, match="force_limit_N must be left out without a reference run"):
+        tissue.report(trainee, tmp_path / "c.html", force_limit_N=7.25)
     assert "<h2>Assessment</h2>" not in tissue.report(trainee, tmp_path / "b.html").read_text()
 
 
@@ -216,9 +221,26 @@ def test_a_gain_whose_interval_contains_zero_shows_no_change(monkeypatch):
 def test_a_run_without_a_device_or_too_short_has_no_score(tmp_path):
     scene = tissue.load_scene("milling", {"voxels.spacing_mm": 0.4, "duration_s": 0.2})
     tissue.simulate(scene).save(tmp_path / "people" / "scripted", pictures=False)
-    with pytest.raises(InputError, match="scripted has no score: the run has no device"):
-        tissue.rank(tmp_path / "people", tmp_path / "people" / "scripted")
+    found = tissue.rank(tmp_path / "people", tmp_path / "people" / "scripted")
+    assert "scripted has no score: the run has no device" in found.left_out[0]
+    assert str(found).startswith("milling: no run has a score")
+    assert [path.name for path in found.save(tmp_path / "out")] == ["ranking.csv"]
+    header, row = (tmp_path / "out" / "ranking.csv").read_text().splitlines()
+    known = dict(zip(header.split(","), row.split(","), strict=True))
+    assert known["trainee"] == "scripted" and known["rank"] == known["score"] == ""
+    assert float(known["peak_force_N"]) > 0.0 and float(known["removed_mm3"]) > 0.0
     with pytest.raises(InputError, match=r"run must last at least 1 s, got 0\.9\. "):
         steadiness(FREE[:900], FREE[:900], DEVICE)
-    with pytest.raises(InputError, match=r"run must move the device at 6\.3 mm/s or more"):
+    with pytest.raises(InputError, match=r"moves at 6\.3 mm/s or faster for 0 % of the scored 4"):
         steadiness(0.1 * shaken(1e-4), FREE, DEVICE)
+
+
+def test_a_rest_after_the_scored_ticks_does_not_change_the_score():
+    moving = shaken(1e-4)
+    rest = np.broadcast_to(moving[-1], (4 * len(moving), 3))
+    whole = np.concatenate([moving, rest])
+    force = np.zeros_like(whole)
+    with pytest.raises(InputError, match="Move faster, or end the run when the hand rests"):
+        steadiness(whole, force, DEVICE)
+    found = steadiness(whole, force, DEVICE, scored=len(moving))
+    assert found.score == pytest.approx(steadiness(moving, FREE, DEVICE).score, abs=2.0)

@@ -111,7 +111,7 @@ def test_seeds_belong_to_trials_and_to_nothing_else():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"trials": 0}, r"trials must be in \[1, 10000\], got 0. Use 100"),
+        ({"trials": 0}, r"trials must be in \[1, 10000\], got 0. Use a value such as 100"),
         (
             {"tasks": ("T9",)},
             "tasks must each be one of T1, T2, T3, needle, reaming, drilling, got T9",

@@ -91,6 +91,9 @@ def test_a_study_that_cannot_show_an_effect_says_so_first(monkeypatch):
     assert "with 3 people, its p value is at least 0.25 (1 after" in note
     assert "Plan for 10 people or more" in note
     assert registration.notes_before(replace(small, trials=10)) == []
+    (note,) = registration.notes_before(replace(small, trials=1, groups=("novice", "expert")))
+    assert note.startswith("Nothing will be tested: each group has one person")
+    assert "Plan for 11 people or more" in note
     assert registration.notes_before(replace(small, tasks=("needle",))) == []
     monkeypatch.setattr(registration, "find_spec", lambda name: None)
     (note,) = registration.notes_before(replace(small, trials=10))
@@ -110,6 +113,19 @@ def test_a_study_refuses_another_version_of_a_registered_predictor(fading, monke
     version[0] = "my-package 0.1.0, SHA-256 11"
     with pytest.raises(InputError, match=r"method fading must come from .*SHA-256 00.*SHA-256 11"):
         folder.begin(replace(plan, trials=2))
+
+
+def test_a_study_refuses_a_changed_predictor_of_a_script(fading, monkeypatch, tmp_path):
+    plan = Plan(trials=1, tasks=("T2",), groups=("expert",), methods=("penalty", fading))
+    folder = StudyFolder(tmp_path / "study")
+    plan_text.cache_clear()
+    folder.begin(plan)
+    plan_text.cache_clear()
+    assert 'fading = "Fading of a script, SHA-256 ' in (folder.path / "plan.toml").read_text()
+    monkeypatch.setattr(registration, "getsource", lambda make: "class Fading: changed = True")
+    with pytest.raises(InputError, match=r"method fading must come from the registered code"):
+        folder.begin(replace(plan, trials=2))
+    plan_text.cache_clear()
 
 
 def test_the_expected_time_grows_with_trials_and_falls_with_workers(monkeypatch):

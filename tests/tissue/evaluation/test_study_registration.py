@@ -140,6 +140,16 @@ def test_a_plan_that_grows_is_registered_anew(study):
     assert "registered after 24 trials" in registration_section(study, []).sentences[0]
 
 
+def test_each_point_in_which_a_study_differs_is_named(study):
+    (tests,) = as_planned(PLAN)
+    left_out = [f"{task}: koopman is left out, as it equals penalty." for task in ("T1", "all")]
+    spoilt = Section("tests", "Tests", left_out, tests.table[1:])
+    assert (
+        "differs from it in 3 points (tests planned and not made; method left out of tests by the "
+        "rule of the plan: T1, all)."
+    ) in registration_section(study, [spoilt]).sentences[0]
+
+
 def test_doctored_trials_are_found(study):
     """Doctored trials are found.
 

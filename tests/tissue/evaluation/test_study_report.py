@@ -197,6 +197,32 @@ def test_a_study_that_has_hardly_begun_is_reported(tmp_path):
     assert "force" in sections and "case-needle" not in sections
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("trials", [1, 2])
+@pytest.mark.parametrize("groups", [("expert",), ("novice", "expert")])
+@pytest.mark.parametrize("methods", [("penalty",), ("penalty", "kalman")])
+def test_a_study_of_few_people_is_reported(trials, groups, methods, tmp_path):
+    """Each section states why it has no result; no figure is computed from a lack of variation."""
+    plan = Plan(trials=trials, tasks=("T2",), groups=groups, methods=methods)
+    folder = StudyFolder(tmp_path / "study")
+    folder.begin(plan)
+    for number, key in enumerate(plan.all_trials()):
+        rng = np.random.default_rng(number)
+        rows = [
+            row | {"method": method, "position_error_mm": rng.random()}
+            for method, row in zip(methods, planted(key, rng), strict=False)
+        ]
+        folder.write(Trial(key, number, tuple(rows), 1.0))
+    sections = {each.name: each for each in sections_of(folder)}
+    assert f"group has at most {trials} of them" in " ".join(sections["overview"].sentences)
+    text = " ".join(sections["index"].sentences)
+    assert "-0.00" not in text
+    if trials == 1 or len(groups) == 1:
+        assert text.startswith("This could not be tested") and not sections["index"].rows
+    if len(methods) == 1:
+        assert "the order is" not in text
+
+
 def test_distances_from_a_path():
     """Distances from a path are exact for points next to, beyond and on it.
 

@@ -126,7 +126,7 @@ def test_a_region_of_all_cells_is_the_whole_body():
         cell_factors=np.ones(len(cells)),
         membrane=capsule,
     )
-    whole = NonlinearBody(space, None, law=LAW, membrane=capsule(space, space.faces))
+    whole = NonlinearBody(space, law=LAW, membrane=capsule(space, space.faces))
     moved = 1e-4 * np.random.default_rng(2).normal(size=space.nodes_m.shape)
     energy, force = region.energy_and_force(moved[region.nodes])
     exact, exact_N = whole.energy_and_force(moved)
@@ -137,7 +137,7 @@ def test_a_region_of_all_cells_is_the_whole_body():
 def test_a_region_of_all_cells_but_one_corner_is_nearly_the_whole_body():
     """A linear corner that hardly moves leaves the energy of the whole body."""
     space, held = held_block(1, capsule_too=True)
-    whole = NonlinearBody(space, None, law=LAW, membrane=capsule(space, space.faces))
+    whole = NonlinearBody(space, law=LAW, membrane=capsule(space, space.faces))
     centres = space.nodes_m[space.cell_nodes].mean(axis=1)
     cells = np.flatnonzero(np.linalg.norm(centres, axis=1) > 0.01)
     region = RegionBody(

@@ -11,7 +11,7 @@ import pytest
 
 from tissue import InputError
 from tissue.haptics.device.device import DeviceParameters, Sample, device_parameters
-from tissue.haptics.device.recorded import FaultyDevice, MouseDevice, RecordedDevice
+from tissue.haptics.device.recorded import Fault, FaultyDevice, MouseDevice, RecordedDevice
 from tissue.haptics.device.simulated import Plant, SimulatedDevice
 from tissue.haptics.hand.hand import Grip, Hand, HandAction, hand_parameters
 from tissue.haptics.loop.filters import ForceRange
@@ -48,7 +48,7 @@ def test_a_pushed_mass_with_damping_and_amplifier_follows_the_closed_form():
 
 def test_a_held_mass_swings_as_it_should_and_its_energy_is_booked():
     plant = Plant(mass_kg=0.1, damping_N_s_m=0.0)
-    plant.hold(stiffness_N_m=300.0, damping_N_s_m=1.0, mass_kg=0.1)
+    plant.hand = (300.0, 1.0, 0.1)
     plant.advance(0.05, command=(0.5, 0.0, 0.0), external=(0.0, 2.0, 0.0), substeps=1)
     rate, decay = sqrt(300.0 / 0.2 - (1.0 / 0.4) ** 2), 1.0 / 0.4
     swing = 1.0 - exp(-decay * 0.05) * (np.cos(rate * 0.05) + decay / rate * np.sin(rate * 0.05))
@@ -83,7 +83,7 @@ def test_friction_stops_a_slide_where_the_closed_form_does():
 @pytest.mark.parametrize("amplifier", [inf, 300.0])
 def test_a_mass_at_rest_does_not_creep_or_chatter_until_the_friction_is_passed(amplifier):
     plant = Plant(mass_kg=0.045, damping_N_s_m=0.35, friction_N=0.26, amplifier_Hz=amplifier)
-    plant.hold(stiffness_N_m=300.0, damping_N_s_m=4.0, mass_kg=0.1)
+    plant.hand = (300.0, 4.0, 0.1)
     rng = np.random.default_rng(0)
     for _ in range(500):
         direction = rng.normal(size=3)
@@ -200,7 +200,7 @@ MAKERS = {
     "six-dof": lambda: SimulatedDevice(device_parameters("six-dof")),
     "recorded": lambda: RecordedDevice(*RECORD),
     "mouse": a_mouse,
-    "faulty": lambda: FaultyDevice(a_hand(), ()),
+    "faulty": lambda: FaultyDevice(a_hand(), Fault("dropped", 9.0, 9.0)),
 }
 
 
@@ -278,7 +278,7 @@ def test_the_axes_of_a_plant_are_alike():
     places = []
     for axis in range(3):
         plant = Plant(mass_kg=0.1, damping_N_s_m=0.5, friction_N=0.05, amplifier_Hz=100.0)
-        plant.hold(stiffness_N_m=300.0, damping_N_s_m=2.0, mass_kg=0.2)
+        plant.hand = (300.0, 2.0, 0.2)
         unit = np.eye(3)[axis]
         for tick in range(50):
             command = tuple((0.8 * unit).tolist())

@@ -9,9 +9,11 @@ from hand_runs import played_N, run_of
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.scene.load import load_scene
+from tissue.scene.scene import Scene
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.builders.hand import hand_motion
 from tissue.simulation.builders.parts import motion_of
+from tissue.simulation.simulate import tick_count
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +91,20 @@ def test_the_wall_s_hand_comes_as_deep_as_its_springs_let_it(on_the_wall):
     late = (trace["time_s"] > 0.75) & (trace["time_s"] < 1.05)
     assert -trace["device_z_mm"][late].mean() == pytest.approx(
         5.0 * grip / (grip + coupled), abs=0.4
+    )
+
+
+@pytest.mark.parametrize(
+    ("hand", "added_s"), [("expert", 0.73), ("intermediate", 0.82), ("novice", 0.9)]
+)
+def test_a_stated_duration_beyond_the_motion_is_extended_as_the_keys_say(hand, added_s):
+    scene = load_scene("wall", {"hand": hand})
+    motion, _ = hand_motion(scene, motion_of(scene), allow_unstable=True)
+    for stated_s, simulated_s in ((1.499, 1.499), (1.5, 1.5 + added_s), (2.2, 2.2 + added_s)):
+        stated = scene.model_copy(update={"duration_s": stated_s})
+        assert tick_count(stated, motion) == round(1e3 * simulated_s)
+    assert f"{added_s:g} s ({hand})" in " ".join(
+        Scene.model_json_schema()["properties"]["duration_s"]["description"].split()
     )
 
 

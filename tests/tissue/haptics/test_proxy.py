@@ -5,11 +5,12 @@ It has three and six degrees of freedom.
 
 import numpy as np
 import pytest
+from field_distance import distance_to, half_space
 from proxy_scenes import BURR, surface_of, wander
 from scipy.spatial.transform import Rotation
 
 from meshes.base.errors import InputError
-from tissue.haptics.proxy.proxy import Ball, Box, ContactField, HalfSpace, Proxy, ToolShell
+from tissue.haptics.proxy.proxy import Box, ContactField, Proxy, ToolShell
 from tissue.motion.quaternion import turn_between
 
 SOLID_TOLERANCE_M = 2.5e-5
@@ -20,13 +21,13 @@ A settled proxy keeps 1e-9.
 
 
 def solids_scene(seed):
-    """A plane, a box askew and a ball."""
+    """A plane, a box askew and a cube."""
     random = np.random.default_rng(seed)
     turn = Rotation.random(random_state=seed).as_matrix()
     return ContactField(
-        HalfSpace((0.0, 0.0, 0.0), random.normal(size=3) * [0.2, 0.2, 0.0] + [0.0, 0.0, 1.0]),
+        half_space((0.0, 0.0, 0.0), random.normal(size=3) * [0.2, 0.2, 0.0] + [0.0, 0.0, 1.0]),
         Box((4e-3, 0.0, 1e-3), (4e-3, 3e-3, 2e-3), turn),
-        Ball((-4e-3, 1e-3, 0.0), 3e-3),
+        Box((-4e-3, 1e-3, 0.0), (4e-3, 4e-3, 4e-3)),
     )
 
 
@@ -45,7 +46,7 @@ def test_never_inside_solids(seed, friction):
     touched = 0
     for position, turn in wander(seed, ticks=1500, low=-8e-3, high=9e-3, start=(0.0, 0.0, 8e-3)):
         result = proxy.advance(position, turn)
-        depth = shell.radius_m - field.distance(surface_of(shell, result))[0].min()
+        depth = shell.radius_m - distance_to(field, surface_of(shell, result))[0].min()
         assert depth <= SOLID_TOLERANCE_M
         if result.settled and result.contacts:
             assert depth <= 1e-9
@@ -70,7 +71,7 @@ def test_turning_everything_turns_the_proxy():
     def scene(rotation, move):
         place = lambda p: rotation.apply(p) + move  # noqa: E731
         return ContactField(
-            HalfSpace(place([0, 0, 0]), rotation.apply([0, 0, 1])),
+            half_space(place([0, 0, 0]), rotation.apply([0, 0, 1])),
             Box(place([2e-3, 0, 1e-3]), (4e-3, 3e-3, 2e-3), rotation.as_matrix() @ box),
         )
 
@@ -98,7 +99,7 @@ def test_turning_everything_turns_the_proxy():
 def test_work_of_a_tick_is_bounded_and_goes_on_in_the_next(monkeypatch):
     """A jump along a plane needs more steps than a tick has; the next ticks finish it."""
     monkeypatch.setattr("tissue.haptics.proxy.proxy.STEP_LIMIT", 10)
-    proxy = Proxy(ToolShell.ball(), ContactField(HalfSpace((0, 0, 0), (0, 0, 1))))
+    proxy = Proxy(ToolShell.ball(), ContactField(half_space((0, 0, 0), (0, 0, 1))))
     proxy.place(np.array([0.0, 0.0, 1e-3]))
     device = np.array([6e-3, 0.0, -1e-3])
     ticks = 0
@@ -113,7 +114,7 @@ def test_a_wild_device_ends_in_a_finite_pose():
 
     It is 1e9 m away, turned by half a circle, next to a wall.
     """
-    proxy = Proxy(BURR, ContactField(HalfSpace((0, 0, 0), (0, 0, 1))), lever_m=0.01)
+    proxy = Proxy(BURR, ContactField(half_space((0, 0, 0), (0, 0, 1))), lever_m=0.01)
     proxy.place(np.array([0.0, 0.0, 1e-3]))
     for device in (np.array([0.0, 0.0, -1e9]), np.array([1e9, 1e9, -1e9])):
         result = proxy.advance(device, np.array([1.0, 0.0, 0.0, 0.0]))
@@ -124,7 +125,7 @@ def test_a_wild_device_ends_in_a_finite_pose():
 
 
 def test_not_a_number_is_refused_and_changes_nothing():
-    proxy = Proxy(ToolShell.ball(), ContactField(HalfSpace((0, 0, 0), (0, 0, 1))))
+    proxy = Proxy(ToolShell.ball(), ContactField(half_space((0, 0, 0), (0, 0, 1))))
     proxy.place(np.array([0.0, 0.0, 1e-3]))
     with pytest.raises(InputError, match="finite"):
         proxy.advance(np.array([0.0, np.nan, 0.0]))

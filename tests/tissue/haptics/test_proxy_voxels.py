@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from field_distance import distance_to
 from proxy_scenes import BURR, SPACING, bumpy_store, surface_of, volume_of, wander
 
 from meshes.voxels.distances import cube_fraction
@@ -43,7 +44,7 @@ def test_never_inside_voxels_and_pushed_out_of_them(seed, lever):
     settled = 0
     for position, turn in wander(seed + 10, ticks=1200, low=2e-3, high=6.5e-3, start=start):
         result = proxy.advance(position, turn)
-        assert field.distance(surface_of(sunk, result))[0].min() >= -VOXEL_TOLERANCE_M
+        assert distance_to(field, surface_of(sunk, result))[0].min() >= -VOXEL_TOLERANCE_M
         if result.settled and result.contacts:
             settled += 1
             if seed == 0:

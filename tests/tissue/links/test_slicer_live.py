@@ -120,7 +120,7 @@ class Fake:
     def __init__(self, *_, **__):
         self.shown, self.reported, self.ended = 0, [], 0
 
-    def show(self, index, row, clock):
+    def show(self, index, row, times):
         self.shown += 1
 
     def report(self, what):
@@ -129,8 +129,8 @@ class Fake:
     def failed(self):
         return "MemoryError" if self.shown > 300 else None
 
-    def target(self):
-        return None
+    def steer(self, mouse):
+        pass
 
     def note(self):
         return "published"

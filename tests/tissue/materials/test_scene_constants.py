@@ -143,6 +143,23 @@ def test_a_file_without_effect_is_refused(texts, changes, words, tmp_path):
         given_note(scene.constants, used_constants(scene, layers), layers=layers, by="scene")
 
 
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (0.06, ""),
+        (60.0, "is 1000 times the upper end of the built-in range (0.036-0.06): check its unit"),
+        (6e-5, "is 0.0017 times the lower end of the built-in range (0.036-0.06)"),
+        (0.0, ""),
+    ],
+)
+def test_constant_far_outside_the_built_in_range_is_noted(value, words, tmp_path):
+    full = "needle.liver.linear_N_mm"
+    scene = load_scene("needle", {"materials": str(written(tmp_path, entry(full, value)))})
+    used = used_constants(scene, ())
+    note = given_note(scene.constants, used, layers=(), by="scene")["materials"]
+    assert (f"{full} {words}" in note) if words else ("check its unit" not in note)
+
+
 def test_the_note_on_the_cutting_energy_follows_the_exponents_of_the_scene():
     def note(**changes):
         return energy_note(("cortical",), Materials.cited, changes=changes)

@@ -20,20 +20,23 @@ SINGLE = 2e-6
 def track(*, tilt_deg=0.0, entry_mm=(0.0, 0.0, 0.0), deepest_mm=20.0):
     """A track whose axis leans to +x."""
     lean = np.radians(tilt_deg)
-    return Track(
-        1e-3 * np.array(entry_mm), np.array([np.sin(lean), 0.0, np.cos(lean)]), 1e-3 * deepest_mm
-    )
+    outward = np.array([np.sin(lean), 0.0, np.cos(lean)])
+    deepest_m = 1e-3 * deepest_mm
+    return Track(1e-3 * np.array(entry_mm), outward, deepest_m, -deepest_m * outward)
 
 
 def fields_of(where):
     return NeedleFields.of_liver(where, near_m=NEEDLE_M, interval_s=0.05)
 
 
-def along(frame, fields):
-    """Displacement of the track's nodes inwards along the needle's axis [m]."""
-    return (
-        -1e-3 * frame.points["displacement_mm"][fields.nodes].astype(float) @ fields.track.outward
-    )
+def moved_m(frame, fields):
+    """Displacement of the track's nodes [m]."""
+    return 1e-3 * frame.points["displacement_mm"][fields.nodes].astype(float)
+
+
+def inward_N(fields, deflection_m, inserted_m):
+    """Sum of the nodal forces inwards along the needle [N]."""
+    return -fields.forces_N(deflection_m, inserted_m).sum(axis=0) @ fields.track.outward
 
 
 @pytest.fixture(scope="module")
@@ -75,19 +78,23 @@ def driven():
 def test_the_track_moves_with_the_organ_and_no_farther(driven):
     """The track moves with the organ and no farther.
 
-    Down to the tip every node is deflected as in the needle's model, the next one already by less.
+    Down to the tip every node is deflected as in the needle's model, and not across the needle. The
+    next node is already deflected by less.
     """
     fields, _, states = driven
     frames = fields.series.frames
     assert len(frames) == len(states)
     held_nodes = 0
     for frame, (deflection, inserted) in zip(frames, states, strict=True):
-        moved = along(frame, fields)
+        moved = moved_m(frame, fields)
         depths = -fields.series.nodes_m[fields.nodes, 2] / fields.track.outward[2]
         held = depths <= inserted + 1e-9
-        np.testing.assert_allclose(moved[held], deflection, rtol=SINGLE, atol=1e-12)
+        expected = np.tile(-deflection * fields.track.outward, (held.sum(), 1))
+        close = SINGLE * abs(deflection) + 1e-12
+        np.testing.assert_allclose(moved[held], expected, rtol=0.0, atol=close)
         if deflection != 0.0:
-            assert (np.abs(moved[~held]) < 0.8 * abs(deflection)).all()
+            along = moved[~held] @ fields.track.outward
+            assert (np.abs(along) < 0.8 * abs(deflection)).all()
             held_nodes += held.sum() > 3
     assert held_nodes > 5
     # drawn out, the organ follows outwards
@@ -97,14 +104,14 @@ def test_the_track_moves_with_the_organ_and_no_farther(driven):
 def test_the_bottom_carries_what_moves_the_track(driven):
     """The bottom carries the load that moves the track.
 
-    Reactions lie on the bottom alone, and their sum is the opposite of the forces along the needle.
+    Reactions lie on the bottom alone, and their sum is the opposite of the forces on the track.
     """
     fields, _, states = driven
     series = fields.series
     on_bottom = np.zeros(len(series.nodes_m), dtype=bool)
     on_bottom[series.node_sets["held"]] = True
     for frame, (deflection, inserted) in zip(series.frames, states, strict=True):
-        force = fields.forces_N(deflection, inserted).sum() * -fields.track.outward
+        force = fields.forces_N(deflection, inserted).sum(axis=0)
         reaction = frame.points["reaction_N"].astype(float)
         size = max(np.abs(force).max(), 1e-3)
         np.testing.assert_allclose(reaction.sum(axis=0), -force, atol=1e-5 * size)
@@ -132,7 +139,7 @@ def test_the_surface_sinks_around_the_entry_as_boussinesq_predicts(monkeypatch):
         radius = np.hypot(nodes_m[:, 0], nodes_m[:, 1])
         near, far = (np.isclose(radius, r) & (nodes_m[:, 2] == 0.0) for r in (10e-3, 20e-3))
         assert near.sum() == far.sum() == 4
-        force = fields.forces_N(1e-3, 0.0).sum()
+        force = inward_N(fields, 1e-3, 0.0)
         expected = (
             force * (1.0 - POISSON_RATIO**2) / (np.pi * YOUNG_PA) * (1.0 / 10e-3 - 1.0 / 20e-3)
         )
@@ -142,7 +149,7 @@ def test_the_surface_sinks_around_the_entry_as_boussinesq_predicts(monkeypatch):
 
 
 def test_deeper_needles_take_more_force_and_double_deflection_takes_double(shallow):
-    sums = [shallow.forces_N(1e-3, depth).sum() for depth in (0.0, 5e-3, 10e-3, 20e-3)]
+    sums = [inward_N(shallow, 1e-3, depth) for depth in (0.0, 5e-3, 10e-3, 20e-3)]
     assert (np.diff(sums) > 0.0).all() and sums[0] > 0.0
     np.testing.assert_allclose(
         shallow.forces_N(2e-3, 10e-3), 2.0 * shallow.forces_N(1e-3, 10e-3), rtol=1e-12
@@ -168,10 +175,13 @@ def test_the_first_track_of_a_motion():
     found = Track.first_of(tips, upright, diameter_m=NEEDLE_M)
     np.testing.assert_allclose(found.entry_m, [2e-3, 0.0, 0.0], atol=1e-15)
     assert found.deepest_m == pytest.approx(30e-3)
+    np.testing.assert_allclose(found.arm_m, [0.0, 0.0, -30e-3], atol=1e-15)
+    # The tip enters where its path meets the surface, also if the path is not along the needle.
     leaning = np.tile([0.6, 0.0, 0.8], (5, 1))
     slanted = Track.first_of(tips, leaning, diameter_m=NEEDLE_M)
-    np.testing.assert_allclose(slanted.entry_m, [2e-3 + 30e-3 * 0.75, 0.0, 0.0], atol=1e-15)
+    np.testing.assert_allclose(slanted.entry_m, [2e-3, 0.0, 0.0], atol=1e-15)
     assert slanted.deepest_m == pytest.approx(30e-3 / 0.8)
+    np.testing.assert_allclose(slanted.arm_m, [0.0, 0.0, -30e-3], atol=1e-15)
     # stays outside
     assert Track.first_of(tips[[0, 2, 3]], upright[:3], diameter_m=NEEDLE_M) is None
     assert Track.first_of(tips[[1, 2]], upright[:2], diameter_m=NEEDLE_M) is None  # starts inside

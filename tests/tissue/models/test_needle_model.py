@@ -126,6 +126,22 @@ def test_an_organ_that_clings_to_the_needle_above_its_surface_keeps_its_track():
     assert model.insertion.deflection_m == pytest.approx(drawn + 2.5e-3, abs=1e-12)
 
 
+def test_sideways_motion_in_the_organ_is_reported_once():
+    model = needle()
+    go(model, [-1.0, 30.0])
+    before = model.notices.copy()
+    for sideways_mm in (4.0, 6.0, 9.0):
+        model.advance(at(30.0, sideways_mm=sideways_mm))
+    assert model.notices[: len(before)] == before
+    (event,) = model.notices[len(before) :]
+    assert event.startswith("the needle has moved 5 mm sideways")
+    # a needle that is moved sideways above the organ begins a new track
+    model = needle()
+    go(model, [-1.0, 30.0, -20.0])
+    go(model, [-20.0, 30.0], sideways_mm=9.0)
+    assert not any("sideways" in event for event in model.notices)
+
+
 def test_measures_are_the_insertion_in_millimetres_and_newtons():
     """Measures are the insertion in millimetres and newtons.
 
@@ -150,6 +166,18 @@ def test_measures_are_the_insertion_in_millimetres_and_newtons():
     pull = insertion.pull_N + drag
     assert response.wrench[:3] == pytest.approx(pull * motion.rotation[:, 2])
     assert sum(wanted[2:]) == pytest.approx(pull)
+
+
+def test_a_turn_within_a_tick_has_no_viscous_friction():
+    """The tick ends deeper than it began, but with the speed of the withdrawal."""
+    model = needle(LIVER)
+    go(model, [-1.0, 30.0])
+    turned = at(30.01, speed_m_s=20e-3, inwards=False)
+    model.advance(turned)
+    assert model.insertion.sliding == 1
+    response = model.respond(turned)
+    friction = model.insertion.shares_N()[2]
+    assert response.measures[4] == friction > 0.0 and not response.resistance.any()
 
 
 def test_a_needle_that_goes_in_elsewhere_punctures_again():

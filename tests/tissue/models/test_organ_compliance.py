@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from held_cube import BOTTOM, SURFACE, body_of
 
-from meshes.base.progress import silent
-from tissue.fem.solvers.compliance import LazyCompliance
-from tissue.models.organ.compliance import Factor, KeptColumns, compliance_of
+from tissue.fem.solvers.compliance import reduced_compliance_m_N, surface_compliance_m_N
+from tissue.fem.solvers.direct import DirectSolver
+from tissue.models.organ.compliance import Factor
 
 TOUCHABLE = SURFACE[~BOTTOM[SURFACE]][::9]
 
@@ -29,26 +29,20 @@ def exact():
     return inverse[np.ix_(rows, rows)]
 
 
-@pytest.mark.parametrize(
-    ("path", "basis_size"), [("condensed", 5), ("reduced", 3 * len(TOUCHABLE)), ("reduced", 10**6)]
-)
-def test_a_whole_compliance_is_the_inverse_stiffness_at_the_touchable_nodes(
-    path, basis_size, exact
-):
-    """A basis of all unknowns leaves nothing out, and one larger than that is one of all."""
-    body = body_of()
-    found, lazy = compliance_of(
-        body, TOUCHABLE, Factor(body), path=path, basis_size=basis_size, report=silent
-    )
-    assert lazy is None
+def test_a_whole_compliance_is_the_inverse_stiffness_at_the_touchable_nodes(exact):
+    found = surface_compliance_m_N(body_of(), TOUCHABLE)
+    assert found == pytest.approx(exact, abs=1e-9 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("size", [3 * len(TOUCHABLE), 10**6])
+def test_a_basis_of_all_unknowns_leaves_nothing_out(size, exact):
+    """A basis that is larger than the number of unknowns is a basis of all of them."""
+    found = reduced_compliance_m_N(DirectSolver(body_of()), TOUCHABLE, size)
     assert found == pytest.approx(exact, abs=1e-9 * np.abs(exact).max())
 
 
 def test_a_small_basis_keeps_the_largest_eigenvalues_and_each_node_s_own_block(exact):
-    body = body_of()
-    found, _ = compliance_of(
-        body, TOUCHABLE, Factor(body), path="reduced", basis_size=6, report=silent
-    )
+    found = reduced_compliance_m_N(DirectSolver(body_of()), TOUCHABLE, 6)
     values, vectors = np.linalg.eigh(exact)
     wanted = (vectors[:, -6:] * values[-6:]) @ vectors[:, -6:].T
     for node in range(len(TOUCHABLE)):
@@ -57,24 +51,11 @@ def test_a_small_basis_keeps_the_largest_eigenvalues_and_each_node_s_own_block(e
     assert found == pytest.approx(wanted, abs=1e-9 * np.abs(exact).max())
 
 
-def test_a_lazy_compliance_holds_nothing_until_it_is_asked(exact):
-    body = body_of()
-    factor = Factor(body)
-    factor.expect(TOUCHABLE)
-    found, lazy = compliance_of(body, TOUCHABLE, factor, path="lazy", basis_size=5, report=silent)
-    assert isinstance(lazy, LazyCompliance) and np.isnan(found).all() and found.shape == exact.shape
-    lazy.want(np.arange(len(TOUCHABLE)))
-    lazy.fill()
-    while lazy.pour(found):
-        pass
-    assert found == pytest.approx(exact, abs=1e-9 * np.abs(exact).max())
-
-
-def test_kept_columns_are_the_inverse_stiffness_and_stay(exact):
-    kept = KeptColumns(Factor(body_of()), np.sort(SURFACE))
+def test_stored_columns_are_the_inverse_stiffness_and_stay(exact):
+    factor = Factor(body_of(), np.sort(SURFACE))
     order = np.array([2, 0, 1])
     rows = (3 * order[:, None] + np.arange(3)).ravel()
     for _ in range(2):
-        found = kept.between(TOUCHABLE[order])
+        found = factor.compliance_between(TOUCHABLE[order])
         assert found == pytest.approx(exact[np.ix_(rows, rows)], abs=1e-9 * np.abs(exact).max())
         assert np.array_equal(found, found.T)

@@ -143,23 +143,6 @@ def test_a_drag_sticks_first_and_then_slips_at_the_coefficient(slab):
     assert -back[0] / back[2] < shares[-1]
 
 
-def test_blocks_may_come_in_where_they_are_needed(slab):
-    probe = SphereProbe(0.008)
-    path = away([0.001, 0.0, -0.002])
-    whole = along(slab.contact(probe), path).force_N.copy()
-    filled = np.full_like(slab.compliance, np.nan)
-    contact = SurfaceContact(slab.rest, slab.faces, filled, probe)
-    contact.place(path[0], np.eye(3))
-    assert contact.solve(np.array([0.0, 0.0, -1e-3]), np.eye(3)).outcome is ContactOutcome.MISSING
-    contact.forget()
-    nodes = contact.nodes_in_reach(path[-1], np.eye(3), 0.012)
-    unknowns = (3 * nodes[:, None] + np.arange(3)).ravel()
-    filled[np.ix_(unknowns, unknowns)] = slab.compliance[np.ix_(unknowns, unknowns)]
-    result = along(contact, path)
-    assert len(nodes) < len(slab.rest) and result.outcome is ContactOutcome.CONVERGED
-    np.testing.assert_array_equal(result.force_N, whole)
-
-
 def test_outcomes_of_a_solve_are_reported(slab):
     tip = np.array([0.0005, 0.0, -0.003])
     assert (

@@ -69,10 +69,11 @@ def pressing(force_N, *, speed_mm_s):
     time = np.arange(0.0, 0.4, 1e-3)
     rows = np.zeros((len(time), len(layout.columns)))
     depth = speed_mm_s * time - 0.2
-    rows[:, layout.time], rows[:, layout.tip.start + 2] = time, -depth
-    rows[:, layout.quaternion.stop - 1] = 1.0
-    rows[:, layout.contact] = depth > 0.0
-    rows[:, layout.wrench.start + 2] = np.where(depth > 0.0, force_N * depth, 0.0)
+    at = {quantity: place.start for quantity, place in layout.at.items()}
+    rows[:, at["time"]], rows[:, at["tip"] + 2] = time, -depth
+    rows[:, at["quaternion"] + 3] = 1.0
+    rows[:, at["contact"]] = depth > 0.0
+    rows[:, at["wrench"] + 2] = np.where(depth > 0.0, force_N * depth, 0.0)
     return Table(layout.columns, rows, ("bone",))
 
 

@@ -9,9 +9,11 @@ import pyvista
 import tissue
 from meshes.base.errors import InputError
 from meshes.tets.structured import box
+from meshes.tets.tetrahedra import TetMesh
 from tissue.fitting.fit_files import write_fitted
 from tissue.materials.constants import Constant
-from tissue.simulation.builders.organ import elasticity_of
+from tissue.objects.press import _resolution
+from tissue.simulation.builders.organ import material_of
 
 STIFF = {"modulus_kPa": 8.0, "poisson_ratio": 0.45}
 BALL = tissue.ball(diameter_mm=12)
@@ -324,6 +326,37 @@ def test_meshio_like_blocks_and_quadratic_cells_are_taken():
     assert organ.moduli_kPa == {"kidney": 8.0, "cyst": 30.0}
 
 
+def test_refined_organ_has_a_note_with_its_number_of_tetrahedra(organ):
+    fine = organ.refined(edge_mm=7, near_mm=(0, 0, 0))
+    assert fine.notes["refined mesh"].startswith(f"{fine.mesh.n_cells} tetrahedra ")
+    assert "refined mesh" not in organ.notes and fine.mesh.n_cells > organ.mesh.n_cells
+
+
+@pytest.mark.parametrize(("size_mm", "is_noted"), [(8.0, True), (48.0, False), (400.0, True)])
+def test_implausible_volume_is_noted_unless_the_unit_is_given(size_mm, is_noted):
+    mesh = cube((2, 2, 2), (size_mm, size_mm, size_mm))
+    for scale_mm, expected in ((None, is_noted), (1.0, False)):
+        notes = tissue.Organ.from_tetrahedra(mesh, scale_mm=scale_mm, **STIFF).notes
+        assert ("give scale_mm" in notes.get("unit", "")) is expected
+
+
+@pytest.mark.parametrize(
+    ("edge_mm", "order", "key"),
+    [(2.9, 1, None), (3.5, 1, "contact area"), (3.5, 2, None), (4.5, 1, "mesh")],
+)
+def test_edges_that_are_too_long_for_the_area_or_the_force_are_noted(edge_mm, order, key):
+    leg = 1e-3 * edge_mm / np.sqrt(2.0)
+    nodes = leg * np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    mesh = TetMesh(nodes, np.array([[0, 1, 2, 3]]))
+    notes = _resolution(mesh, BALL.shape, nodes[:3].mean(axis=0), order=order)
+    assert list(notes) == ([] if key is None else [key])
+
+
+def test_loop_of_an_organ_names_it(organ):
+    loop = tissue.Loop(organ, BALL, start_mm=(0, 0, 1))
+    assert repr(loop).startswith("Loop(Organ, 0 ticks")
+
+
 def test_pictures_are_drawn(organ, press, tmp_path, monkeypatch, capfd):
     monkeypatch.delenv("DISPLAY", raising=False)
     shown = {"off_screen": True, "window_size": (300, 200)}
@@ -363,7 +396,7 @@ def test_a_liver_with_a_file_of_constants_is_that_of_a_scene_with_it(tmp_path):
         "liver-press", {"materials": str(file), "organ.material": "liver", "organ.law": "linear"}
     )
     mesh, material = organ._made.mesh, organ._made.material
-    wanted, _ = elasticity_of(mesh, scene.anatomy, scene.organ, scene.constants)
-    assert np.array_equal(material.elasticity(mesh), wanted)
+    wanted, _ = material_of(scene.anatomy, scene.organ, scene.constants)
+    assert np.array_equal(material.elasticity(mesh), wanted.elasticity(mesh))
     assert organ.moduli_kPa == {"body": 7.0} and material.poisson_ratio == 0.46
     assert organ.notes["materials"].endswith("Not used in this organ: soft.kidney.modulus_kPa")

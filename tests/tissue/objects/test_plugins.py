@@ -154,6 +154,20 @@ def test_nothing_is_imported_before_it_is_asked_for(tmp_path):
         assert output.split()[-1] == "loud" and error == "imported\n"
 
 
+def test_a_package_that_was_built_without_its_scene_says_so(tmp_path):
+    (tmp_path / "bare.py").write_text("SCENE = 'soft-wall.toml'\n")
+    offer(tmp_path, "bare-parts", {"tissue.scenes": {"soft-wall": "bare:SCENE"}})
+    code, _, error = tissue("run", "soft-wall", folders=[tmp_path], cwd=tmp_path)
+    assert (
+        code == 2
+        and (
+            "scene soft-wall of the package bare-parts 0.1.0 cannot be used (the package was built "
+            "without the file soft-wall.toml; its author lists the file in package-data)"
+        )
+        in error
+    )
+
+
 @pytest.mark.slow
 def test_a_package_that_cannot_be_imported_stops_nothing_but_its_part(tmp_path):
     (tmp_path / "broken.py").write_text("import nothing_of_that_name\n")

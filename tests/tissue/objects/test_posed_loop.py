@@ -138,6 +138,26 @@ def test_a_tool_that_leaves_the_prepared_region_is_reported():
         loop.restore(inside)
 
 
+def test_a_tip_that_is_rounded_to_six_digits_stays_in_the_prepared_region():
+    loop = made("needle", reach_mm=0.0)
+    loop.reset([0, 0, 5])
+    for tip in ([1e-6, 0.0, 5.0], [0.0, 1.1e-3, 5.0]):
+        moved(loop, [tip])
+        outside = any("left the region" in what for _, what in loop.events)
+        assert outside is (tip[1] > 1e-3)
+
+
+def test_the_first_pose_has_the_time_zero():
+    loop = made("needle")
+    moved(loop, [[0, 0, 5], [0, 0, 4.98]])
+    np.testing.assert_array_equal(loop.trace["time_s"], [0.0, 1e-3])
+
+
+def test_a_device_for_a_scene_is_refused_with_the_function_that_takes_one():
+    with pytest.raises(tissue.InputError, match=r"tissue\.simulate\(scene, device=\.\.\.\)"):
+        tissue.Loop("needle", device=object())
+
+
 def test_the_remedy_for_a_tool_outside_the_prepared_region_depends_on_the_side():
     deeper = "give the motion of the scene a deeper path, because reach_mm adds no depth"
     wider = "use a larger reach_mm"

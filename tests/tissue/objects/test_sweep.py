@@ -189,6 +189,8 @@ def test_formats_are_written_and_runs_of_other_scenes_are_not_replaced(pressed, 
     with pytest.raises(InputError, match=r"format must be one of png, .*, got docx"):
         tissue.sweep(pressed, {"seed": [1, 2]}, out=out / "other", formats=("docx",))
     assert not (out / "other").exists()
+    with pytest.raises(InputError, match=r"^seed must have different values, got 2 twice\."):
+        tissue.sweep(pressed, {"seed": [1, 2, 2]}, out=out / "other")
     other = tissue.load_scene("wall", {"duration_s": 0.05, "hand": "novice"})
     with pytest.raises(InputError, match=r"out must hold runs of this scene, .*seed=1"):
         tissue.sweep(other, {"seed": [1, 2]}, out=out)

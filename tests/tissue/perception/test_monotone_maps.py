@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from held_back import held_back
 
 from tissue.evaluation.calibration.observers import Stimulus, draw_observers, sensitivity
 from tissue.objects.calibration import alike
 from tissue.perception.laws import D_PRIME_75, Weber
-from tissue.perception.perceived import held_back
 
 LIMIT_N = 3.3
 KAPPA, OFFSET_N = 0.05, 0.2

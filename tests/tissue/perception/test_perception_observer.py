@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from held_back import held_back
 
 from tissue import InputError
 from tissue.perception.laws import Weber, weber_of
@@ -13,7 +14,7 @@ from tissue.perception.observer import (
     read_observer,
     write_observer,
 )
-from tissue.perception.perceived import Deadband, held_back
+from tissue.perception.perceived import Deadband
 
 GIVEN = {"alpha": 0.9, "beta": 1.5, "kappa": 0.06, "offset_N": 0.15, "lapse": 0.03, "sigma": 0.25}
 SPREAD = {"alpha": 0.2, "beta": 0.1, "kappa": 0.15, "offset_N": 0.3, "lapse": 0.5, "sigma": 0.2}

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from held_back import held_back
 
 import tissue
 from tissue.perception.laws import weber_of
 from tissue.perception.observer import Observer, population_observer, write_observer
-from tissue.perception.perceived import held_back
 
 
 def by_hand(scene, **changes):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tissue import InputError, load_scene
+from tissue.motion.quaternion import UPRIGHT
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.live.run import LiveObserver, LiveSettings
 from tissue.simulation.live.run import live as run_live
@@ -47,19 +48,16 @@ class FakeWindow:
     paused = reset = False
 
     def __init__(self, scene, parts, columns):
-        self.closed, self.shown, self._announced = False, 0, False
+        self.closed, self.shown = False, 0
 
     @property
     def frames(self):
         return self.shown
 
-    def pointed_m(self):
-        if self._announced:
-            return None
-        self._announced = True
-        return (0.0, 0.0, -2e-3)
+    def steer(self, mouse):
+        mouse.push((0.0, 0.0, -2e-3), UPRIGHT)
 
-    def show(self, index, row, clock):
+    def show(self, index, row, times):
         self.shown += 1
         self.closed = index >= 599
 

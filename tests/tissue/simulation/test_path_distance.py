@@ -41,7 +41,12 @@ def test_a_hand_far_from_its_path_gets_a_note_with_a_smaller_force_scale():
     (note,) = path_note(scene, parts, {"largest_in_contact": 6.95, "largest": 23.4}).values()
     # 0.99 x 0.5 mm / 23.4 mm = 0.0212
     assert "left the path by 23.4 mm" in note
-    assert "Set coupling.force_scale = 0.02 instead of 0.99" in note
+    assert "Set coupling.force_scale = 0.02 instead of 0.99. The largest force at the dev" in note
+    assert "then 0.022 N. The friction of touch, 0.26 N, hides this force: use another dev" in note
+    quiet = tissue.load_scene("molar", {"device": "six-dof", "coupling.force_scale": 0.99})
+    far_mm = {"largest_in_contact": 1.2, "largest": 1.3}
+    (note,) = path_note(quiet, parts, far_mm).values()
+    assert "hides" not in note
     still = SimpleNamespace(cutter=replace(parts.cutter, spin_rad_s=0.0))
     assert path_note(scene, still, {"largest_in_contact": 6.95, "largest": 23.4}) == {}
     assert path_note(scene, parts, None) == {}

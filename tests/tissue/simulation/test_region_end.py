@@ -78,6 +78,8 @@ def test_a_tool_that_leaves_the_region_is_reported_once_and_breaks_or_breaches_n
     (layer,) = run.summary["removed_mm3"]
     removed = dict(run_rows(run.summary))[f"removed {layer}"]
     assert removed.endswith(f" mm³ (not valid after {left_s:.3f} s)")
+    force = dict(run_rows(run.summary))["force, peak / mean in contact"]
+    assert force.endswith(f" N (not valid after {left_s:.3f} s)")
     assert figures_of(run.summary)["left_region_s"] == left_s
     margin_mm = float(re.search(r"margin_mm = ([0-9.]+)", run.parts.notes["simulated region"])[1])
     deepest_mm = -run.trace["tool_z_mm"].min()

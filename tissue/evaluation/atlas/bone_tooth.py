@@ -207,12 +207,11 @@ def conditions(body: ParticleBody) -> tuple[float, float]:
     kept = np.flatnonzero(np.diag(matrix) > 0.0)
     inner = matrix[np.ix_(kept, kept)]
     scale = 1.0 / np.sqrt(np.diag(inner))
-    plain, scaled = (np.linalg.eigvalsh(each) for each in (inner, scale[:, None] * inner * scale))
-    return (
-        # 1e17 is beyond the resolution of doubles, and avoids a division by zero
-        plain[-1] / max(plain[0], 1e-17 * plain[-1]),
-        scaled[-1] / max(scaled[0], 1e-17 * scaled[-1]),
+    # 1e17 is beyond the resolution of doubles
+    plain, scaled = (
+        min(np.linalg.cond(each), 1e17) for each in (inner, scale[:, None] * inner * scale)
     )
+    return plain, scaled
 
 
 def compliance_m_N(body: ParticleBody, fill: float) -> float:

@@ -1,7 +1,5 @@
 """Atlas pages on faulty device samples: lost, late, repeated and implausible samples."""
 
-from collections.abc import Callable
-
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -21,7 +19,7 @@ from tissue.evaluation.atlas.page import (
     error_of,
     panel,
 )
-from tissue.haptics.device.device import Device, Sample, device_parameters
+from tissue.haptics.device.device import device_parameters
 from tissue.haptics.device.recorded import Fault, FaultKind, FaultyDevice
 from tissue.haptics.device.sample_guard import FADE_S, FASTEST_M_S, OLDEST_S, SampleGuard
 from tissue.haptics.device.simulated import SimulatedDevice
@@ -48,40 +46,18 @@ VALID_M = FASTEST_M_S * (TICK_S + OLDEST_S)
 """Longest jump of the position [m] from tick to tick that the sample guard accepts."""
 
 
-class _Jumping:
-    """Haptic device with one wrong sample: at `FAULT_S`, the position jumps into the wall."""
-
-    in_process = True
-
-    def __init__(self, device: Device, jump_m: float) -> None:
-        self._device = device
-        self._jump_m = jump_m
-        self.command = device.command
-
-    def read(self, time_s: float) -> Sample | None:
-        """Return the sample of the device; the sample at `FAULT_S` is displaced into the wall."""
-        sample = self._device.read(time_s)
-        # one sample only: times of ticks are sums with rounding
-        if sample is None or abs(time_s - FAULT_S) > 0.5 * TICK_S:
-            return sample
-        x, y, z = sample.position_m
-        return sample._replace(position_m=(x, y, z - self._jump_m))
-
-
-def pressed(
-    make: Callable[[Device], Device], *, seconds: float, guarded: bool
-) -> tuple[Array, SampleGuard | None]:
-    """Simulate an expert who aims 5 mm deep into a wall with a device that has faults.
+def pressed(fault: Fault, *, seconds: float, guarded: bool) -> tuple[Array, SampleGuard | None]:
+    """Simulate an expert who aims 5 mm deep into a wall with a device that has a fault.
 
     Return the magnitude of the force [N], shape (ticks,), and the sample guard. If `guarded` is
     true, the guard checks the device samples. Otherwise, no guard is used, and None is returned
-    instead of the guard. `make` adds the faults to a device.
+    instead of the guard.
     """
     # the aim is 5 mm deep from the first tick on
     path = waypoints(np.array([0.0, 1e-3]), np.full((2, 3), (0.0, 0.0, -5e-3)))
     # the seed does not matter: four seeds gave the same verdicts
     hand = Hand(hand_parameters("expert"), path, rng=np.random.default_rng(7))
-    device = make(SimulatedDevice(OMNI, hand, position_m=(0.0, 0.0, 0.0)))
+    device = FaultyDevice(SimulatedDevice(OMNI, hand, position_m=(0.0, 0.0, 0.0)), fault)
     guard = SampleGuard(force_limit_N=OMNI.force_limit_N) if guarded else None
     wall = renderer("penalty", OMNI.loop(STIFFNESS_N_M))
     run = press_wall(device, wall, duration_s=seconds, guard=guard)
@@ -95,12 +71,8 @@ def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
     after the fault, and the largest change from tick to tick during the fault.
     """
     fault = Fault(kind, FAULT_S, FAULT_S + gap_s)
-    size, _ = pressed(
-        lambda device: FaultyDevice(device, [fault]),
-        # 80 ms after the fault, in which the force returns
-        seconds=FAULT_S + gap_s + 0.08,
-        guarded=guarded,
-    )
+    # 80 ms after the fault, in which the force returns
+    size, _ = pressed(fault, seconds=fault.end_s + 0.08, guarded=guarded)
     last = round((FAULT_S + gap_s) / TICK_S) - 1
     step = np.abs(np.diff(size[FIRST - 1 : last + 1])).max()
     return (np.array([size[last], size[last + 1 :].max(), step]) / size[FIRST - 1]).tolist()
@@ -200,10 +172,10 @@ def forced(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
     The jump displaces the sample into the wall by ``jump_m`` [m]. The third result is the number of
     samples that the guard rejected.
     """
-    # the jump is in one tick; the run ends right after it
-    size, guard = pressed(
-        lambda device: _Jumping(device, jump_m), seconds=FAULT_S + 3e-3, guarded=guarded
-    )
+    # one sample only: times of ticks are sums with rounding; the run ends right after it
+    half = 0.5 * TICK_S
+    fault = Fault("jump", FAULT_S - half, FAULT_S + half, jump_m)
+    size, guard = pressed(fault, seconds=FAULT_S + 3e-3, guarded=guarded)
     return float(size[FIRST - 1]), float(size[FIRST]), 0 if guard is None else guard.bad_ticks
 
 

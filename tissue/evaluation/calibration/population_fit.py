@@ -17,7 +17,6 @@ from tissue.perception.hierarchy import (
     PopulationTrials,
     fit_hierarchy,
 )
-from tissue.perception.laws import two_interval
 from tissue.perception.observer import Observer, write_observer
 from tissue.show.figures.figure import figure, save
 
@@ -32,18 +31,7 @@ def pooled_trials(sessions: list[Session]) -> PopulationTrials:
     numbers = [
         (who, force, number) for who, each in enumerate(sessions) for force, number in each.given
     ]
-    who_compared, base_N, step_N, right = np.array(compared).reshape(-1, 4).T
-    who_rated, force_N, number = np.array(numbers).reshape(-1, 3).T
-    return PopulationTrials(
-        observers=len(sessions),
-        who_compared=who_compared.astype(int),
-        base_N=base_N,
-        step_N=step_N,
-        right=right.astype(bool),
-        who_rated=who_rated.astype(int),
-        force_N=force_N,
-        number=number,
-    )
+    return PopulationTrials(len(sessions), np.array(compared), np.array(numbers))
 
 
 def new_person(fit: PopulationFit, *, trials: int, rng: np.random.Generator) -> Observer:
@@ -163,13 +151,12 @@ GREY = "0.6"
 
 
 def draw_session(session: Session, path: Path) -> None:
-    """Draw posterior, answers and rated numbers of a session into a PNG file."""
-    # inches: three panels side by side
-    chart = figure(13.0, 4.2)
+    """Draw the posterior and the rated numbers of a session into a PNG file."""
+    # inches: two panels side by side
+    chart = figure(9.0, 4.2)
     chart.set_layout_engine("constrained")
-    left, middle, right = chart.subplots(1, 3)
+    left, right = chart.subplots(1, 2)
     _posterior(session, left)
-    _answers(session, middle)
     _numbers(session, right)
     save(chart, path)
 
@@ -200,52 +187,6 @@ def _posterior(session: Session, axes: Axes) -> None:
         title="Threshold, 95 % between the dashes",
     )
     axes.legend()
-
-
-def _answers(session: Session, axes: Axes) -> None:
-    """Draw the fraction of right answers against the ratio of force difference to threshold.
-
-    The answers are divided into bins of about equal size.
-    """
-    weber, offset, lapse = (
-        float(get()[0])
-        for get in (
-            lambda: session.threshold.weber()[0],
-            session.threshold.offset_N,
-            session.threshold.lapse,
-        )
-    )
-    steps = np.array(
-        [asked.step_N / (weber * (asked.base_N + offset)) for asked, _ in session.asked]
-    )
-    right = np.array([answer == asked.greater for asked, answer in session.asked])
-    order = np.argsort(steps, kind="stable")
-    # six answers or more in a bin, so that a share has a standard error below 0.2; at most eight
-    # bins
-    for bin_ in np.array_split(order, max(min(8, len(order) // 6), 1)):
-        if len(bin_):
-            axes.semilogx(
-                steps[bin_].mean(),
-                100.0 * right[bin_].mean(),
-                "o",
-                color=ORANGE,
-                # the area of a mark grows with the number of answers
-                ms=3.0 + np.sqrt(len(bin_)),
-            )
-    # from steps at which answers are guesses to steps at which nearly all answers are right
-    at = np.geomspace(0.1, max(steps.max(initial=5.0), 5.0), 200)
-    # a base of 0, a Weber fraction of 1 and an offset of 1 N have a threshold of 1 N
-    axes.semilogx(at, 100.0 * two_interval(0.0, at, 1.0, 1.0, lapse), color=BLUE)
-    _ticks(axes, [0.1, 0.3, 1, 3, 10])
-    # at the threshold, 75 % of the answers are right, see `D_PRIME_75`
-    axes.axhline(75.0, color=GREY, ls=":")
-    axes.set(
-        xlabel="step / threshold",
-        ylabel="right answers / %",
-        # 50 % is chance; a bin of few answers may lie below it
-        ylim=(35.0, 103.0),
-        title="Answers and fitted function",
-    )
 
 
 def _numbers(session: Session, axes: Axes) -> None:

@@ -56,9 +56,9 @@ class Plan:
     def __post_init__(self) -> None:
         require_range("seed", self.seed, 0, 2**32, "use a whole number")
         # more trials than anyone answers in a day: a typing error
-        require_range("trials", self.trials, 0, 100_000, "use 120")
+        require_range("trials", self.trials, 0, 100_000, "use a value such as 120")
         # as for trials
-        require_range("numbers", self.numbers, 0, 100_000, "use 24")
+        require_range("numbers", self.numbers, 0, 100_000, "use a value such as 24")
         require_range(
             "force_limit_N", self.force_limit_N, 0.5, 1000.0, "give the device's largest force"
         )
@@ -68,7 +68,9 @@ class Plan:
                 "plan", "have whole numbers of trials", counts, "leave out decimal points"
             )
         if self.trials + self.numbers == 0:
-            raise InputError("trials and numbers", "not both be 0", "0 and 0", "use 120 and 24")
+            raise InputError(
+                "trials and numbers", "not both be 0", "0 and 0", "use values such as 120 and 24"
+            )
 
 
 @dataclass(frozen=True)

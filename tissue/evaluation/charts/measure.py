@@ -31,7 +31,7 @@ from tissue.evaluation.statistics.metrics import force_error
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, Tool
-from tissue.simulation.reference_force import ideal_force_N, played_force_N
+from tissue.simulation.reference_force import ideal_force_N
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S, simulate
 
@@ -62,7 +62,9 @@ def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array
     then the force of the finest model without delay of the haptic loop.
     """
     if scene.device is not None:
-        return played_force_N(run.trace), ideal_force_N(run, finest(scene, quick=quick))
+        # the force before it is compressed to the range of the device
+        played = run.trace.vectors("filtered_force", "N")
+        return played, ideal_force_N(run, finest(scene, quick=quick))
     force = run.trace.vectors("model_force", "N")
     if has_exact_geometry(scene):
         return force, reference_force(scene, run.trace).force_N

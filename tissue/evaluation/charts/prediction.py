@@ -178,7 +178,7 @@ def chart_prediction(
     """
     # one run has no interval
     if not 2 <= trials <= MOST_TRIALS:
-        raise InputError("trials", f"be from 2 to {MOST_TRIALS}", trials, "use 30")
+        raise InputError("trials", f"be from 2 to {MOST_TRIALS}", trials, "use a value such as 30")
     files = ("prediction_tasks.png", *TABLES, *(f"prediction_{scene.name}.png" for scene in scenes))
     found = []
     with OwnedFolder(folder, "chart", files, overwrite=overwrite):
@@ -201,7 +201,8 @@ def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
     interval of the paired difference excludes zero.
     """
     lines = [
-        "error at 4 ms on unseen runs, % of the force (mean, 95 % interval on a logarithmic scale)"
+        "error at 4 ms on unseen runs, % of the force (arithmetic mean over the runs, and its 95 % "
+        "interval, computed for the logarithm of the mean)"
     ]
     for each in found:
         at_delay = {kind: each.at(kind, DELAY_MS) for kind in PREDICTORS}
@@ -314,7 +315,7 @@ def draw_tasks(found: Sequence[PredictorComparison], path: Path) -> None:
         along = places + index * width
         axes.vlines(along, low, high, color=colour)
         axes.plot(along, mean, mark, color=colour, label=kind)
-    label = "force error 4 ms ahead / %, 95 % interval"
+    label = "force error 4 ms ahead / %\nmean of the runs, 95 % interval"
     names = [each.scene for each in found]
     axes.set(xticks=range(len(found)), xticklabels=names, ylabel=label, yscale="log")
     plain_numbers(axes.yaxis)

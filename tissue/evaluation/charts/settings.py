@@ -328,7 +328,6 @@ def _elements(scene: Scene, *, quick: bool) -> Iterator[Setting]:
                 "path",
                 plain | {"organ.path": "reduced", "organ.basis_size": size},
             )
-        yield Setting("lazy", "path", plain | {"organ.path": "lazy"})
 
 
 def _loops(scene: Scene, *, quick: bool) -> Iterator[Setting]:

@@ -1,6 +1,7 @@
 """Error rates of hypothesis tests in a study, estimated by simulated populations."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -182,6 +183,7 @@ def rejection_rates(
         found += [
             Power(name, test, users, len(alarms[test]), _share(alarms[test]), _share(hits[test]))
             for test in alarms
+            if test in hits
         ]
     return tuple(found)
 
@@ -203,7 +205,10 @@ def _rejections(
         residuals = contrasts[0] - group_means(contrasts[0], groups)[groups]
         users, width = residuals.shape
         if np.linalg.matrix_rank(residuals) == width < users - groups.max() - 1:
-            found["MANOVA, Pillai's trace"] = pillai(contrasts, groups, between=between).p <= ALPHA
+            # With few users, a population may repeat one user of each group.
+            with suppress(np.linalg.LinAlgError):
+                p_values = pillai(contrasts, groups, between=between).p
+                found["MANOVA, Pillai's trace"] = p_values <= ALPHA
         return found
     exact = strata(values[:, 0], groups, sizes, chosen, between=between)
     found["F of strata"] = exact.p <= ALPHA

@@ -68,7 +68,7 @@ class Index:
         """Weights, means and failed assumptions in words."""
         weights_text = ", ".join(f"{each.name} {each.value:.2f}" for each in self.weights)
         means = ", ".join(
-            f"{each.name} {each.value:+.2f} [{each.low:.2f}, {each.high:.2f}]"
+            f"{each.name} {each.value:+z.2f} [{each.low:z.2f}, {each.high:z.2f}]"
             for each in self.means
         )
         failed = "; ".join(each.finding for each in self.assumptions if not each.holds)
@@ -121,6 +121,12 @@ def composite_index(
     count
         Number of bootstrap samples. With 2000, the tail probability of 2.5 % has a standard error
         of 0.35 %.
+
+    Raises
+    ------
+    InputError
+        If a metric is constant within a task, a group has fewer than two users, or the users are so
+        few that a metric is constant in a bootstrap sample.
     """
     names = tuple(directions)
     kept = table.failure == ""
@@ -138,23 +144,24 @@ def composite_index(
             )
         scaled[tasks == task] = (chosen - chosen.mean(axis=0)) / spread
     people, person = np.unique(table.people()[kept], return_inverse=True)
-    if len(people) < 2:
+    _, first_rows = np.unique(person, return_index=True)
+    groups = np.unique(table.group[kept][first_rows], return_inverse=True)[1].astype(np.int64)
+    smallest = np.bincount(groups).min(initial=len(people))
+    if smallest < 2:
         raise InputError(
             "users",
-            "be at least two",
-            len(people),
+            "be at least two in each group",
+            smallest,
             "add users: the weights of one user do not apply to others",
         )
     weights, loadings, variances = weights_of(scaled.T @ scaled / len(scaled))
-    _, first_rows = np.unique(person, return_index=True)
-    groups = np.unique(table.group[kept][first_rows], return_inverse=True)[1].astype(np.int64)
     methods = np.unique(table.method[kept]).tolist()
     member = np.stack([table.method[kept] == method for method in methods]).astype(float)
     drawn_weights = []
     drawn_means = []
     for drawn in drawn_users(groups, count, rng):
         times = np.bincount(drawn, minlength=len(people))[person].astype(float)
-        again, _, _ = weights_of(_correlation(scaled, times))
+        again, _, _ = weights_of(_correlation(scaled, times, names))
         drawn_weights.append(again)
         drawn_means.append(_means(scaled @ again, member * times))
     # percentiles of a two-sided interval
@@ -169,10 +176,19 @@ def composite_index(
     )
 
 
-def _correlation(rows: Array, times: Array) -> Array:
+def _correlation(rows: Array, times: Array, names: tuple[str, ...]) -> Array:
     """Return the correlation matrix of rows; row i counts ``times[i]`` times."""
     covariance = np.atleast_2d(np.cov(rows.T, aweights=times, ddof=0))
     size = np.sqrt(np.diag(covariance))
+    # The rows have unit variance, so a smaller size is a rounding error.
+    flat = size <= 1e-9
+    if flat.any():
+        raise InputError(
+            names[flat.argmax()],
+            "vary in every bootstrap sample of the users",
+            "a sample in which it is constant",
+            "add users",
+        )
     return covariance / size / size[:, None]
 
 

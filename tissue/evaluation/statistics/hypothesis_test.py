@@ -256,7 +256,7 @@ def normal_residuals(residuals: ArrayLike) -> Assumption:
         name,
         holds,
         (
-            f"{tests_text}, each to be at least {limit:g}, skewness {skew(values):.2f}, "
+            f"{tests_text}, each to be at least {limit:g}, skewness {skew(values):z.2f}, "
             f"excess kurtosis {kurtosis(values):.2f}"
         ),
     )

@@ -288,32 +288,20 @@ def aligned_rows(path: Array, model: Array) -> Ints:
     NDArray
         Rows of the model, from 0 to m - 1, shape (n,).
     """
+    from skimage.graph import MCP
+
     ours, theirs = (
         np.unique(np.linspace(0, len(each) - 1, min(POINTS, len(each))).round().astype(int))
         for each in (path, model)
     )
     cost = np.linalg.norm(path[ours][:, None] - model[theirs][None], axis=2)
-    n, m = cost.shape
-    total = np.full((n + 1, m + 1), np.inf)
-    total[0, 0] = 0.0
-    # all cells of one diagonal depend only on those of the two before
-    for diagonal in range(n + m - 1):
-        i = np.arange(max(0, diagonal - m + 1), min(n, diagonal + 1))
-        j = diagonal - i
-        before = np.minimum(np.minimum(total[i, j + 1], total[i + 1, j]), total[i, j])
-        total[i + 1, j + 1] = cost[i, j] + before
-    at = np.zeros(n)
-    met = np.zeros(n)
-    row = n
-    column = 1 + int(np.argmin(total[n, 1:]))
-    while row > 0 and column > 0:
-        at[row - 1] += theirs[column - 1]
-        met[row - 1] += 1
-        steps = (total[row - 1, column - 1], total[row - 1, column], total[row, column - 1])
-        back = int(np.argmin(steps))
-        row -= int(back != 2)
-        column -= int(back != 1)
-    return np.interp(np.arange(len(path)), ours, at / met).round().astype(np.int64)
+    # A step leads to the next point of one path or of both.
+    search = MCP(cost, offsets=[(1, 1), (1, 0), (0, 1)])
+    total, _ = search.find_costs([(0, 0)])
+    met = search.traceback((len(ours) - 1, int(np.argmin(total[-1]))))
+    mine, other = np.transpose(met)
+    rows = np.bincount(mine, theirs[other]) / np.bincount(mine)
+    return np.interp(np.arange(len(path)), ours, rows).round().astype(np.int64)
 
 
 def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:

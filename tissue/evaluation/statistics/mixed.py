@@ -12,7 +12,7 @@ from scipy.special import gammaln, stdtr
 from scipy.stats import f
 
 from meshes.base.arrays import Array, Ints
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, counted
 from tissue.evaluation.statistics.hypothesis_test import (
     LEVEL,
     Assumption,
@@ -25,6 +25,7 @@ from tissue.evaluation.statistics.hypothesis_test import (
 from tissue.evaluation.statistics.trials import TrialTable
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
     from statsmodels.regression.mixed_linear_model import MixedLMResults
 
 ITERATIONS = 400
@@ -55,7 +56,8 @@ def mixed_model(table: TrialTable, metric: str) -> list[HypothesisTest]:
     Raises
     ------
     InputError
-        If there is only one group, task and method, or a group has fewer than two complete users.
+        If there is only one group, task and method, a group has fewer than two complete users, or
+        the trials are too few to separate users from the residual.
     """
     within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
     cells = table.cells(metric, within=within or ["method"])
@@ -100,14 +102,25 @@ def mixed_model(table: TrialTable, metric: str) -> list[HypothesisTest]:
             re_formula="1",
             vc_formula=parts or None,
         )
-        fitted = model.fit(reml=True, maxiter=ITERATIONS)
+        try:
+            fitted = model.fit(reml=True, maxiter=ITERATIONS)
+            wald = fitted.wald_test_terms(scalar=True).table
+        except np.linalg.LinAlgError:
+            wald = None
+    if wald is None or (wald["df_constraint"] < 1).any():
+        raise InputError(
+            metric,
+            "have a variance of users apart from the residual",
+            f"a singular mixed model of {counted(len(frame), 'value')}",
+            "add trials",
+        )
     variances = [fitted.cov_re.iloc[0, 0], *fitted.vcomp, fitted.scale]
     assumptions = (
         _convergence(fitted.converged, fitted.scale / sum(variances), caught),
         normal_residuals(fitted.resid),
     )
     free = user_count - group_count
-    return _tests(fitted, metric, free, assumptions)
+    return _tests(fitted, wald, metric, free, assumptions)
 
 
 def _convergence(
@@ -146,11 +159,16 @@ def _freedom(fitted: "MixedLMResults", name: str, free: int) -> int:
 
 
 def _tests(
-    fitted: "MixedLMResults", metric: str, free: int, assumptions: tuple[Assumption, ...]
+    fitted: "MixedLMResults",
+    wald: "DataFrame",
+    metric: str,
+    free: int,
+    assumptions: tuple[Assumption, ...],
 ) -> list[HypothesisTest]:
-    """Return Wald's F test of every fixed effect."""
+    """Return Wald's F test of every fixed effect from the table of its statistics."""
     found = []
-    for term, row in fitted.wald_test_terms(scalar=True).table.iterrows():
+    for name, row in wald.iterrows():
+        term = str(name)
         # the mean of all trials is no effect
         if term == "Intercept":
             continue

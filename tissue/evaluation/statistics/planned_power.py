@@ -92,9 +92,9 @@ def planned_power(
         If alpha or the effect is out of range.
     """
     # the critical value rests on alpha * POPULATIONS studies
-    require_range("alpha", alpha, 5.0 / POPULATIONS, 1.0, "use 0.05")
+    require_range("alpha", alpha, 5.0 / POPULATIONS, 1.0, "use a value such as 0.05")
     # beyond this range a typing error: to show 0.01 takes more than 100 000 people
-    require_range("effect", effect, 0.01, 10.0, "use 1")
+    require_range("effect", effect, 0.01, 10.0, "use a value such as 1")
     # no variation between people
     if people < 2:
         return {}

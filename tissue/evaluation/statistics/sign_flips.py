@@ -1,4 +1,4 @@
-"""Sign-flip tests: permutation tests that change the signs of differences at random.
+"""Sign-flip tests: permutation tests that change the signs of differences.
 
 The conclusions of a study are drawn from these tests.
 
@@ -156,6 +156,12 @@ def _signs(count: int, users: int, rng: np.random.Generator) -> Array:
     return np.where(rng.integers(2, size=(count, users)) == 1, 1.0, -1.0)
 
 
+def _all_signs(users: int) -> Array:
+    """Return all combinations of signs except those without a flip, shape (2^users - 1, users)."""
+    patterns = np.arange(1, 2**users)[:, None] >> np.arange(users)
+    return np.where(patterns & 1, -1.0, 1.0)
+
+
 def flipped_p(measured: Array, flipped: Array) -> Array:
     """Return the p value: the fraction of flips that reach the measured statistic (Edgington 1995).
 
@@ -205,9 +211,14 @@ def sign_test(
     rng
         Random generator of the signs.
     flips
-        Number of random sign flips.
+        Number of random sign flips. If there are no more combinations of signs, each combination is
+        used once instead, and the p value is exact.
     """
-    ones = np.ones((1, len(groups)))
+    users = len(groups)
+    every = _all_signs(users) if 2**users - 1 <= flips else None
+    if every is not None:
+        flips = len(every)
+    ones = np.ones((1, users))
     means, variances = _moments(scores, groups, ones)
     differences, squared_errors = _compared(means[0], variances[0], between=between)
     squares = differences**2 / squared_errors
@@ -215,7 +226,10 @@ def sign_test(
     block = max(1, BLOCK // (len(squares) * (groups.max() + 1)))
     largest = []
     for start in range(0, flips, block):
-        signs = _signs(min(block, flips - start), len(groups), rng)
+        if every is None:
+            signs = _signs(min(block, flips - start), users, rng)
+        else:
+            signs = every[start : start + block]
         largest.append(largest_squared_t(*_moments(held, groups, signs), between=between))
     flipped = np.concatenate(largest)
     ordered = np.sort(flipped)

@@ -5,10 +5,10 @@ The order of the rows does not depend on the order in which trials finished.
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import pairwise, product
+from itertools import pairwise
+from math import prod
 from pathlib import Path
-from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,11 +81,6 @@ class TrialTable:
     metrics
         Values of each metric by name, each of shape (rows,). The name of a metric includes its
         unit.
-
-    Raises
-    ------
-    InputError
-        If a row occurs twice, or a metric of a row that did not fail is not finite.
     """
 
     task: Text
@@ -97,50 +92,40 @@ class TrialTable:
     failure: Text
     metrics: Mapping[str, Array]
 
-    def __post_init__(self) -> None:
-        columns: dict[str, NDArray[np.generic]] = {
-            name: np.asarray(getattr(self, name)) for name in KEYS
-        }
-        columns |= {name: np.asarray(values, dtype=float) for name, values in self.metrics.items()}
-        for name in ("trial", "seed"):
-            columns[name] = columns[name].astype(np.int64)
-        order = np.lexsort([columns[name] for name in reversed(KEY)])
-        for name in KEYS:
-            object.__setattr__(self, name, columns[name][order])
-        sorted_metrics = {name: columns[name][order] for name in self.metrics}
-        object.__setattr__(self, "metrics", MappingProxyType(sorted_metrics))
-        rows = list(zip(*(getattr(self, name).tolist() for name in KEY), strict=True))
-        for before, after in pairwise(rows):
+    @classmethod
+    def from_rows(cls, rows: Iterable[Mapping[str, object]]) -> "TrialTable":
+        """Return a sorted table from rows; a row is a mapping from names to labels and metrics.
+
+        The key ``failure`` may be omitted. A row with a failure may omit metrics.
+
+        Raises
+        ------
+        InputError
+            If a row occurs twice, or a metric of a row that did not fail is not finite.
+        """
+        given = list(rows)
+        names = list(dict.fromkeys(name for row in given for name in row if name not in KEYS))
+        listed = sorted(given, key=_key)
+        keys = [_key(row) for row in listed]
+        for before, after in pairwise(keys):
             if before == after:
                 raise InputError(
                     "trial", "be given once", f"{_describe(after)} twice", "remove one of the two"
                 )
-        for name, values in sorted_metrics.items():
-            bad = np.flatnonzero(~np.isfinite(values) & (self.failure == ""))
+        labels: dict[str, Any] = {
+            name: np.array([str(row.get(name, "")) for row in listed]) for name in KEYS
+        }
+        for name in ("trial", "seed"):
+            labels[name] = labels[name].astype(np.int64)
+        metrics = {}
+        for name in names:
+            values = np.array([row.get(name, np.nan) for row in listed], dtype=float)
+            bad = np.flatnonzero(~np.isfinite(values) & (labels["failure"] == ""))
             if len(bad):
-                raise InputError(
-                    name,
-                    "be finite",
-                    f"{values[bad[0]]} in {_describe(rows[bad[0]])}",
-                    "run the trial again",
-                )
-
-    @classmethod
-    def from_rows(cls, rows: Iterable[Mapping[str, object]]) -> "TrialTable":
-        """Return a table from rows; a row is a mapping from names to labels and metrics.
-
-        The key ``failure`` may be omitted. A row with a failure may omit metrics.
-        """
-        listed = list(rows)
-        names = list(dict.fromkeys(name for row in listed for name in row if name not in KEYS))
-        labels = {name: np.array([str(row.get(name, "")) for row in listed]) for name in KEYS}
-        return cls(
-            **labels,  # whole numbers are read from their text
-            metrics={
-                name: np.array([row.get(name, np.nan) for row in listed], dtype=float)
-                for name in names
-            },
-        )
+                found = f"{values[bad[0]]} in {_describe(keys[bad[0]])}"
+                raise InputError(name, "be finite", found, "run the trial again")
+            metrics[name] = values
+        return cls(**labels, metrics=metrics)
 
     def write_csv(self, path: Path) -> None:
         """Write the table as CSV.
@@ -155,7 +140,7 @@ class TrialTable:
     def __len__(self) -> int:
         return len(self.task)
 
-    @cached_property
+    @property
     def failed(self) -> int:
         """Number of rows with a failure."""
         return int((self.failure != "").sum())
@@ -185,7 +170,7 @@ class TrialTable:
 
     def complete(self) -> "TrialTable":
         """Return the rows that did not fail."""
-        return self._rows(self.failure == "")
+        return self.where(failure="")
 
     def shared(self) -> "TrialTable":
         """Return the rows of trials that succeeded under all methods of the table.
@@ -211,41 +196,35 @@ class TrialTable:
         values = self.values(metric)
         kept = self.failure == ""
         factors = tuple((name, tuple(np.unique(getattr(self, name)).tolist())) for name in within)
-        labels = list(product(*(levels for _, levels in factors)))
         names, person = np.unique(self.people(), return_inverse=True)
-        level = np.zeros(len(self), dtype=np.int64)
+        cell = person
         for name, levels in factors:
-            level = level * len(levels) + np.searchsorted(levels, getattr(self, name))
-        at = (person[kept], level[kept])
-        counts = np.zeros((len(names), len(labels)), dtype=np.int64)
-        sums = np.zeros(counts.shape)
-        np.add.at(counts, at, 1)
-        np.add.at(sums, at, values[kept])
+            cell = cell * len(levels) + np.searchsorted(levels, getattr(self, name))
+        shape = (len(names), prod(len(levels) for _, levels in factors))
+        counts = np.bincount(cell[kept], minlength=prod(shape)).reshape(shape)
+        sums = np.bincount(cell[kept], values[kept], minlength=prod(shape)).reshape(shape)
         whole = (counts > 0).all(axis=1)
-        group_names = tuple(np.unique(self.group).tolist())
         _, first = np.unique(person, return_index=True)
-        groups = np.searchsorted(group_names, self.group[first]).astype(np.int64)
-        for index, group in enumerate(group_names):
-            count = int((whole & (groups == index)).sum())
-            # one user has no variation between users
-            if count < 2:
-                raise InputError(
-                    f"group {group}",
-                    f"have at least two users with trials of {metric} at every level",
-                    count,
-                    "add users or leave the group out",
-                )
-        means = sums[whole] / counts[whole]
+        group_names, groups = np.unique(self.group[first], return_inverse=True)
+        users = np.bincount(groups[whole], minlength=len(group_names))
+        # One user has no variation between users.
+        if users.min() < 2:
+            raise InputError(
+                f"group {group_names[users < 2][0]}",
+                f"have at least two users with trials of {metric} at every level",
+                users[users < 2][0],
+                "add users or leave the group out",
+            )
         if np.ptp(values[kept]) == 0.0:
             raise InputError(
                 metric, "vary over the trials", f"{values[kept][0]:g} in all trials", "leave it out"
             )
         return Cells(
             metric,
-            means,
+            sums[whole] / counts[whole],
             counts[whole],
             groups[whole],
-            group_names,
+            tuple(group_names.tolist()),
             tuple(names[whole].tolist()),
             factors,
             tuple(names[~whole].tolist()),
@@ -256,6 +235,12 @@ class TrialTable:
         return TrialTable(
             **columns, metrics={name: values[kept] for name, values in self.metrics.items()}
         )
+
+
+def _key(row: Mapping[str, object]) -> tuple[str | int, ...]:
+    """Return the labels of a row by which a table is sorted."""
+    labels = [str(row.get(name, "")) for name in KEY]
+    return *labels[:3], int(labels[3]), labels[4]
 
 
 def _describe(row: Sequence[object]) -> str:

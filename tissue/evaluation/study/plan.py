@@ -300,8 +300,8 @@ class Plan:
 
     def __post_init__(self) -> None:
         # more than a hundred times the default is a typing error
-        require_range("trials", self.trials, 1, 10_000, "use 100")
-        require_range("seed", self.seed, 0, 2**63 - 1, "use 0")
+        require_range("trials", self.trials, 1, 10_000, "use a value such as 100")
+        require_range("seed", self.seed, 0, 2**63 - 1, "use a value such as 0")
         for method in self.methods:
             method_settings(method)
         for name, known in (

@@ -91,7 +91,7 @@ def pierce(scene: Scene, *, kappa: float, offset_N: float, rate_N_s: float = RAT
         raise InputError(
             "scene", "have a device and a motion of kind path", "none", "set device, such as touch"
         )
-    require_positive("rate_N_s", rate_N_s, f"use {RATE_N_S:g}")
+    require_positive("rate_N_s", rate_N_s, f"use a value such as {RATE_N_S:g}")
     start, end = 1e-3 * np.array(scene.motion.points_mm[:2])
     limits = device_parameters(scene.held.kind, scene.constants)
     integration_s = constants("perception", "force")["integration_s"].value

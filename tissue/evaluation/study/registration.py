@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 from hashlib import sha256
 from importlib.util import find_spec
+from inspect import getsource
 from math import ceil, log2
 from pathlib import Path
 from typing import Any
@@ -150,20 +151,38 @@ def registered(content: Mapping[str, Any]) -> list[Registration]:
 
 
 def packages_of(plan: Plan) -> dict[str, str]:
-    """Return version and code hash of the package of each registered predictor, by method."""
+    """Return name and code hash of the origin of each registered predictor, by method.
+
+    The origin is a package or, for a predictor that a script registers, its class or function.
+    """
     own = [method for method in plan.methods if method not in (*METHODS, *PREDICTORS.built_in)]
-    found = {method: package_of(PREDICTORS.group, method) for method in own}
+    found = {method: package_of(PREDICTORS.group, method) or _source_of(method) for method in own}
     return {method: package for method, package in found.items() if package}
 
 
+def _source_of(method: str) -> str:
+    """Return name and source hash of the class or function that a script registered.
+
+    The hash does not contain the rest of the script, which may change, for example by the number of
+    trials. The result is empty without a source file.
+    """
+    make = getattr(PREDICTORS[method].make, "make", None)
+    try:
+        source = getsource(make)  # type: ignore[arg-type]
+    except (OSError, TypeError):
+        return ""
+    digest = sha256(source.encode("utf-8")).hexdigest()
+    return f"{getattr(make, '__name__', method)} of a script, SHA-256 {digest[:16]}"
+
+
 def require_unchanged(folder: Path, held: list[Registration], plan: Plan) -> None:
-    """Check that the files of registered plans and the packages of their methods are unchanged.
+    """Check that the files of registered plans and the code of their methods are unchanged.
 
     Raises
     ------
     InputError
-        If the file of a plan does not have the recorded hash, or a method of `plan` comes from
-        another version of its package.
+        If the file of a plan does not have the recorded hash, or the code of a method of `plan`
+        has changed.
     """
     for each in held:
         if (got := file_sha256(folder / str(each["file"]))) != each["sha256"]:
@@ -180,9 +199,9 @@ def require_unchanged(folder: Path, held: list[Registration], plan: Plan) -> Non
         if recorded.get(method, package) != package:
             raise InputError(
                 f"method {method}",
-                f"come from the registered package ({recorded[method]})",
+                f"come from the registered code ({recorded[method]})",
                 package,
-                "install the registered version, or run the study in a new folder",
+                "restore the registered version, or run the study in a new folder",
             )
 
 
@@ -214,17 +233,26 @@ def notes_before(plan: Plan) -> list[str]:
             f"{install_command('study')}"
         )
     tests = len(planned_tests(plan))
+    if not tests:
+        return notes
     people = min(plan.trials, USERS) * len(plan.groups)
+    needed = max(2 * len(plan.groups), 1 + ceil(log2(tests / ALPHA)))
+    remedy = (
+        f"Plan for {needed} people or more: each of the first {USERS} trials of a group has "
+        "another person"
+    )
     # the measured signs and their opposites reach the statistic, of 2^people combinations
     smallest_p = 2.0 ** (1 - people)
-    if len(plan.methods) > 1 and tests * smallest_p > ALPHA:
-        who = "1 person" if people == 1 else f"{people} people"
-        needed = 1 + ceil(log2(tests / ALPHA))
+    if plan.trials == 1:
         notes.append(
-            f"No test of methods can show an effect: with {who}, its p value is at least "
+            "Nothing will be tested: each group has one person, and a test needs at least two "
+            f"people in each group. {remedy}"
+        )
+    elif len(plan.methods) > 1 and tests * smallest_p > ALPHA:
+        notes.append(
+            f"No test of methods can show an effect: with {people} people, its p value is at least "
             f"{smallest_p:.2g} ({min(1.0, tests * smallest_p):.2g} after Bonferroni's correction "
-            f"for {tests} tests), and the level is {ALPHA:g}. Plan for {needed} people or more: "
-            f"each of the first {USERS} trials of a group has another person"
+            f"for {tests} tests), and the level is {ALPHA:g}. {remedy}"
         )
     return notes
 

@@ -167,9 +167,10 @@ def _overview(folder: StudyFolder) -> Section:
         f"{len(kept)} of {sum(1 for _ in plan.all_trials())} trials are there, seed {plan.seed}, "
         f"version {package_version()}; methods {', '.join(plan.methods)}. Every trial has a "
         f"latency of {LATENCY_MS} ms on the device touch.",
-        f"{USERS} simulated people a group differ in pace, exponent and threshold, groups in hand "
-        "and threshold. No person took part, and nothing here is a measure of physical fidelity: "
-        "forces are held against the engine's own ideal, as the paper's are against its own.",
+        "Simulated people differ in pace, exponent and threshold, groups in hand and threshold. A "
+        f"group has at most {min(plan.trials, USERS)} of them. No real person took part, and "
+        "nothing here is a measure of physical fidelity: forces are held against the engine's own "
+        "ideal, as the paper's are against its own.",
         f"Figures of the paper: {SOURCE}. Tasks are compared with it that meet all conditions that "
         "it states; it states no geometry, tool or path.",
     ]
@@ -222,7 +223,14 @@ def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Secti
     when = f"after {counted(int(before), 'trial')}" if before else "before the first trial"
     differs = "nothing differs from it"
     if found:
-        kinds = "; ".join(dict.fromkeys(kind for kind, _, _ in found))
+        points: dict[str, list[str]] = {}
+        for kind, what, _ in found:
+            points.setdefault(kind, []).append(what.split(":")[0])
+        kinds = "; ".join(
+            # several points of a kind differ in their subjects
+            f"{kind}: {', '.join(subjects)}" if len(subjects) > 1 else kind
+            for kind, subjects in points.items()
+        )
         differs = f"the study differs from it in {counted(len(found), 'point')} ({kinds})"
     digits = str(newest["sha256"])[:16]
     headline = f"{newest['file']} was registered {when} (SHA-256 {digits}); {differs}."

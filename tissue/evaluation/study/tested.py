@@ -265,7 +265,8 @@ Content = tuple[list[str], list[dict[str, str]]]
 
 
 def _interval(effect: Effect, form: str) -> dict[str, str]:
-    return {name: format(getattr(effect, name), form) for name in ("value", "low", "high")}
+    # z: no negative zero
+    return {name: format(getattr(effect, name), f"z{form}") for name in ("value", "low", "high")}
 
 
 def _composite(table: TrialTable, rng: np.random.Generator) -> Content:
@@ -275,13 +276,15 @@ def _composite(table: TrialTable, rng: np.random.Generator) -> Content:
         {"what": "weight", "name": each.name} | _interval(each, ".3f") for each in index.weights
     ]
     rows += [{"what": "mean", "name": each.name} | _interval(each, ".3f") for each in index.means]
+    sentences = [index.sentence]
+    if len(index.means) < 2:
+        return sentences, rows
     order = [each.name for each in sorted(index.means, key=lambda each: -each.value)]
-    sentences = [
-        index.sentence,
+    sentences.append(
         f"By this index the order is {', '.join(order)}. The paper's 0.91 and 0.72 lie on a scale "
         "that its formula does not fix (metrics of mixed signs and units), so that only the order "
-        "can be compared: there the perceptual method is best.",
-    ]
+        "can be compared: there the perceptual method is best."
+    )
     return sentences, rows
 
 

@@ -11,10 +11,8 @@ L_tt^T``. The compliance is ``W = S^-1``. No back-substitution is needed. With 3
 1,350 of them touchable, back-substitutions would take twenty times as long.
 """
 
-from collections import OrderedDict, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from threading import Condition, Thread
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +23,10 @@ from meshes.base.cache import cached_arrays
 from meshes.base.errors import InputError
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import ColumnSolver, HeldBody, components_of
+from tissue.system.blas_threads import one_blas_thread
 
 LIMIT_BYTES = 2_000_000_000
-"""Largest allowed memory of a dense compliance matrix [bytes].
-
-For a larger matrix, use ``LazyCompliance``, which computes only columns near the tool.
-"""
+"""Largest allowed memory of a compliance matrix [bytes]."""
 SCHUR_UNKNOWNS = 100_000
 """Largest number of unknowns for which the compliance is read from the factor.
 
@@ -83,7 +79,7 @@ def surface_compliance_m_N(
             "touchable",
             f"fit in {limit_bytes / 1000000000.0:.3g} GB",
             f"{len(touchable)} nodes that need {needed / 1000000000.0:.3g} GB",
-            "name fewer nodes, or compute columns only near the tool (LazyCompliance)",
+            "use a shorter path or longer edges",
         )
     blocks = body.stiffness
     key = [blocks.data, blocks.indices, blocks.indptr, body.fixed, touchable]
@@ -100,23 +96,40 @@ def surface_compliance_m_N(
     return cached_arrays("compliance", key, make)["matrix"].astype(np.float64, copy=False)
 
 
+def columns_at(solver: ColumnSolver, unknowns: Ints, rows: Ints) -> Iterator[Array]:
+    """Yield columns of the inverse stiffness [m/N], in blocks of at most `CHUNK` columns.
+
+    Several threads compute the blocks. The linear algebra of each block uses one thread.
+
+    Parameters
+    ----------
+    solver
+        Solver for the displacements under unit forces.
+    unknowns, rows
+        Unknowns with a unit force, shape (k,), and unknowns whose displacements are returned, shape
+        (r,). A block has shape (r, CHUNK).
+    """
+    chunks = [unknowns[start : start + CHUNK] for start in range(0, len(unknowns), CHUNK)]
+    # A back-substitution releases the interpreter lock.
+    with (
+        one_blas_thread(),
+        ThreadPoolExecutor(core_count(), thread_name_prefix="compliance") as threads,
+    ):
+        yield from threads.map(lambda chunk: solver.columns(chunk)[rows], chunks)
+
+
 def _found(
     solver: ColumnSolver, touchable: Ints, progress: Callable[[float], None] | None
 ) -> Array:
     """Compute the symmetric compliance matrix [m/N], shape (3t, 3t), by back-substitutions."""
     rows = components_of(touchable)
     matrix = np.empty((len(rows), len(rows)))
-
-    def fill(start: int) -> int:
-        part = slice(start, min(start + CHUNK, len(rows)))
-        matrix[part] = solver.columns(rows[part])[rows].T
-        return part.stop
-
-    # A back-substitution releases the interpreter lock.
-    with ThreadPoolExecutor(core_count(), thread_name_prefix="compliance") as threads:
-        for done in threads.map(fill, range(0, len(rows), CHUNK)):
-            if progress is not None:
-                progress(done / len(rows))
+    done = 0
+    for block in columns_at(solver, rows, rows):
+        matrix[done : done + block.shape[1]] = block.T
+        done += block.shape[1]
+        if progress is not None:
+            progress(done / len(rows))
     return 0.5 * (matrix + matrix.T)
 
 
@@ -137,7 +150,7 @@ def reduced_compliance_m_N(solver: ColumnSolver, touchable: Ints, size: int) -> 
     touchable
         Nodes that carry load, shape (t,).
     size
-        Number of modes in the basis.
+        Number of modes in the basis. A number above 3t is treated as 3t.
     """
     whole = _found(solver, touchable, None)
     values, vectors = np.linalg.eigh(whole)
@@ -147,170 +160,3 @@ def reduced_compliance_m_N(solver: ColumnSolver, touchable: Ints, size: int) -> 
     view = cut.reshape(len(nodes), 3, len(nodes), 3)
     view[nodes, :, nodes, :] = whole.reshape(view.shape)[nodes, :, nodes, :]
     return 0.5 * (cut + cut.T)
-
-
-class LazyCompliance:
-    """Columns of a compliance matrix for the nodes that were requested last.
-
-    A node is identified by its index among the touchable nodes. ``want`` requests the nodes near
-    the tool. ``fill`` computes the requested columns in the caller's thread, before the ticks.
-    ``start`` starts a thread that computes requested columns during the ticks. ``pour`` only copies
-    computed values. If the buffer is full, the columns of the node with the oldest request are
-    dropped.
-
-    Parameters
-    ----------
-    solver
-        Solver for the columns: a direct solver, or multigrid if a factor would not fit into memory.
-    touchable
-        Nodes that may be touched, shape (t,).
-    capacity_bytes
-        Memory of the buffer for columns [bytes].
-    """
-
-    def __init__(
-        self, solver: ColumnSolver, touchable: Ints, *, capacity_bytes: int = 500_000_000
-    ) -> None:
-        self._solver = solver
-        self._touchable = np.asarray(touchable, np.int64)
-        self._rows = components_of(self._touchable)
-        # three columns, 8 bytes for each number
-        each = 3 * 8 * len(self._rows)
-        self.capacity = min(capacity_bytes // max(each, 1), len(self._touchable))
-        """Number of nodes that the buffer holds."""
-        self._columns = np.empty((self.capacity, len(self._touchable), 3, 3))
-        self._slot = np.full(len(self._touchable), -1)
-        self._used: OrderedDict[int, None] = OrderedDict()
-        self._spare = list(range(self.capacity))[::-1]
-        self._wanted: set[int] = set()
-        self._waiting: deque[int] = deque()
-        self._arrived: deque[int] = deque()
-        self._changed = Condition()
-        self._thread: Thread | None = None
-        self._problem: BaseException | None = None
-        self._ended = False
-
-    def want(self, nodes: Ints) -> None:
-        """Request the columns of nodes, most urgent first.
-
-        Earlier requests whose columns are not computed yet are dropped.
-
-        Raises
-        ------
-        InputError
-            If more nodes are requested than the buffer holds.
-        """
-        if len(nodes) > self.capacity:
-            raise InputError(
-                "nodes",
-                f"be at most the {self.capacity} that the buffer holds",
-                len(nodes),
-                "allow more memory, or ask for fewer nodes",
-            )
-        with self._changed:
-            self._waiting.clear()
-            self._wanted = set(map(int, nodes))
-            for node in map(int, nodes[::-1]):
-                if self._slot[node] < 0:
-                    self._waiting.appendleft(node)
-                else:
-                    self._used.move_to_end(node)
-            if self._waiting:
-                self._changed.notify_all()
-
-    def pour(self, matrix_m_N: Array) -> int:
-        """Write the blocks of one newly computed node into a matrix of all touchable nodes.
-
-        The matrix has shape (3t, 3t). The method writes the blocks between this node and all
-        computed nodes. Other blocks stay unchanged. A call writes only one node, to keep a tick
-        short.
-
-        Returns
-        -------
-        int
-            Number of nodes still to be written.
-
-        Raises
-        ------
-        RuntimeError
-            If the background thread failed.
-        """
-        if self._problem is not None:
-            raise RuntimeError("the compliance could not be found") from self._problem
-        with self._changed:
-            while self._arrived and self._slot[self._arrived[0]] < 0:
-                self._arrived.popleft()
-            if not self._arrived:
-                return 0
-            node = self._arrived.popleft()
-            others = np.fromiter(self._used, dtype=np.int64)
-            there = self._columns[self._slot[node], others]
-            back = self._columns[self._slot[others], node]
-            blocks = 0.5 * (there + back.transpose(0, 2, 1))
-            left = len(self._arrived)
-        view = matrix_m_N.reshape(len(self._touchable), 3, len(self._touchable), 3)
-        view[node, :, others, :] = blocks
-        view[others, :, node, :] = blocks.transpose(0, 2, 1)
-        return left
-
-    def fill(self) -> None:
-        """Compute all requested columns in this thread."""
-        while (node := self._next()) is not None:
-            self._find(node)
-
-    def start(self) -> None:
-        """Start the background thread that computes the requested nodes."""
-        if self._thread is None:
-            self._thread = Thread(target=self._serve, name="compliance", daemon=True)
-            self._thread.start()
-
-    def stop(self) -> None:
-        """End the background thread after it has computed its present node."""
-        with self._changed:
-            self._ended = True
-            self._changed.notify_all()
-        if self._thread is not None:
-            self._thread.join()
-        self._thread = None
-        self._ended = False
-
-    def _serve(self) -> None:
-        try:
-            while True:
-                with self._changed:
-                    while not self._waiting and not self._ended:
-                        self._changed.wait()
-                    if self._ended:
-                        return
-                node = self._next()
-                if node is not None:
-                    self._find(node)
-        except BaseException as problem:
-            self._problem = problem
-
-    def _next(self) -> int | None:
-        with self._changed:
-            return self._waiting.popleft() if self._waiting else None
-
-    def _find(self, node: int) -> None:
-        """Compute the three columns of one node.
-
-        A back-substitution releases the interpreter lock, so that other threads can run.
-        """
-        unknowns = 3 * self._touchable[node] + np.arange(3)
-        columns = self._solver.columns(unknowns)[self._rows].reshape(-1, 3, 3).transpose(0, 2, 1)
-        with self._changed:
-            if self._slot[node] >= 0:
-                return  # the node was requested again during its computation
-            if not self._spare and node not in self._wanted:
-                return  # the tool has moved to other nodes
-            if not self._spare:
-                oldest = next(other for other in self._used if other not in self._wanted)
-                del self._used[oldest]
-                self._spare.append(int(self._slot[oldest]))
-                self._slot[oldest] = -1
-            slot = self._spare.pop()
-            self._columns[slot] = columns
-            self._slot[node] = slot
-            self._used[node] = None
-            self._arrived.append(node)

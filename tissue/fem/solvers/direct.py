@@ -217,13 +217,13 @@ class DirectSolver:
         norm = float(np.linalg.norm(right))
         if norm == 0.0:
             return Solution(self.body.whole(right), SolverOutcome.CONVERGED, 0, 0.0)
-        place = self._order.position[self.body.free]
-        ordered = np.empty_like(right)
-        ordered[place] = right
-        found = self._factor.solve(ordered)
-        left = float(np.linalg.norm(ordered - self._matrix @ found)) / norm
+        load = self.body.whole(right)
+        moved = self.displacement_m(load)
+        unknowns = self._order.unknowns
+        unbalanced = load.ravel()[unknowns] - self._matrix @ moved.ravel()[unknowns]
+        left = float(np.linalg.norm(unbalanced)) / norm
         outcome = SolverOutcome.CONVERGED if left <= self.tolerance else SolverOutcome.INACCURATE
-        return Solution(self.body.whole(found[place]), outcome, 0, left)
+        return Solution(moved, outcome, 0, left)
 
     def displacement_m(self, load_N: Array) -> Array:
         """Return the displacement [m] under nodal forces [N], shape (n, 3), without any check.
@@ -267,14 +267,9 @@ class DirectSolver:
 
         Rows of held unknowns are zero.
         """
-        found = np.empty((len(self._order.position), len(unknowns)))
-        # The loads of a few columns at a time: all of them would take as much memory as the result.
-        for start in range(0, len(unknowns), TOGETHER):
-            some = unknowns[start : start + TOGETHER]
-            loads = np.zeros((len(found), len(some)))
-            loads[some, np.arange(len(some))] = 1.0
-            found[:, start : start + TOGETHER] = self.displacements_m(loads)
-        return found
+        loads = np.zeros((len(self._order.position), len(unknowns)))
+        loads[unknowns, np.arange(len(unknowns))] = 1.0
+        return self.displacements_m(loads)
 
     def compliance_between(self, nodes: Ints) -> Array:
         """Compute the compliance between k nodes [m/N], shape (3k, 3k).

@@ -115,7 +115,7 @@ def rounded(asked: int) -> int:
     InputError
         If the number is not between 16 and 65536.
     """
-    count = int(require_range("band", asked, LEAST, MOST, "use 200"))
+    count = int(require_range("band", asked, LEAST, MOST, "use a value such as 200"))
     return 1 << (count - 1).bit_length()
 
 

@@ -2,10 +2,9 @@
 
 from collections import deque
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
-from math import exp, nan
-from typing import Literal, Self
+from math import exp
+from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -141,9 +140,7 @@ def _followed(offset: Sequence[float], speed: Triple, step_s: float) -> tuple[Tr
     return (x, y, z), (u, v, w)
 
 
-FaultKind = Literal["dropped", "late", "duplicated", "non-finite", "wild"]
-WILD_M = 1e9
-"""Position of a faulty sample of kind ``wild`` [m]: finite, but beyond any device's reach."""
+FaultKind = Literal["dropped", "late", "duplicated", "jump"]
 LATE_READS = 5
 """Delay of a faulty sample of kind ``late``, in reads.
 
@@ -153,57 +150,45 @@ The delay is twice the age at which `SampleGuard` rejects a sample.
 
 @dataclass(frozen=True)
 class Fault:
-    """Fault of a device's samples: its kind, and the times [s] at which it begins and ends."""
+    """Fault of a device's samples: its kind, and the times [s] at which it begins and ends.
+
+    During a fault of kind ``jump``, the position is ``jump_m`` [m] too low. The jump may be NaN.
+    """
 
     kind: FaultKind
     start_s: float
     end_s: float
+    jump_m: float = 0.0
 
 
-class FaultyDevice:
-    """Wrapper of a device that makes its samples faulty at given times, for tests.
+class FaultyDevice(ComputedDevice):
+    """Wrapper of a device that makes its samples faulty during a time, for tests.
 
-    During a fault, samples are dropped, late, repeated, non-finite or wild (position of 1e9 m).
+    During the fault, samples are dropped, late, repeated, or have a wrong position.
     """
 
-    def __init__(self, device: Device, faults: Sequence[Fault]) -> None:
+    def __init__(self, device: Device, fault: Fault) -> None:
         self._device = device
-        self._faults = tuple(faults)
-        self._stack = ExitStack()
+        self._fault = fault
         self._past: deque[Sample | None] = deque(maxlen=LATE_READS + 1)
         self._returned: Sample | None = None
-
-    @property
-    def in_process(self) -> bool:
-        """True if the wrapped device only computes, so that its methods cannot block."""
-        return bool(getattr(self._device, "in_process", False))
-
-    def __enter__(self) -> Self:
-        if isinstance(self._device, AbstractContextManager):
-            self._stack.enter_context(self._device)
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        self._stack.close()
 
     def read(self, time_s: float) -> Sample | None:
         """Return the sample of the wrapped device, changed by the fault at this time."""
         sample = self._device.read(time_s)
+        fault = self._fault
         self._past.append(sample)
-        kind = next(
-            (fault.kind for fault in self._faults if fault.start_s <= time_s < fault.end_s), None
-        )
-        if kind == "dropped":
+        if not fault.start_s <= time_s < fault.end_s:
+            self._returned = sample
+            return sample
+        if sample is None or fault.kind == "dropped":
             return None
-        if kind == "duplicated":
+        if fault.kind == "duplicated":
             return self._returned
-        if kind == "late":
+        if fault.kind == "late":
             return self._past[0]
-        if sample is not None and kind is not None:
-            wrong = nan if kind == "non-finite" else WILD_M
-            sample = sample._replace(position_m=(wrong, *sample.position_m[1:]))
-        self._returned = sample
-        return sample
+        x, y, z = sample.position_m
+        return sample._replace(position_m=(x, y, z - fault.jump_m))
 
     def command(self, force_N: Array, torque_Nm: Array) -> None:
         """Pass the command to the wrapped device."""

@@ -1,13 +1,14 @@
 """Simulated haptic device in a simulated hand, integrated in steps between the ticks."""
 
 from collections import deque
+from collections.abc import Sequence
 from math import ceil, inf, isfinite, sqrt
 
 import numpy as np
 
 from meshes.base.arrays import Array
 from tissue.haptics.device.device import ComputedDevice, DeviceParameters, Sample
-from tissue.haptics.hand.hand import Grip, HandAction, HoldingHand
+from tissue.haptics.hand.hand import HandAction, HoldingHand
 from tissue.haptics.loop.sampled_loop import parts_of_tick, plant_step
 from tissue.motion.quaternion import (
     NOTHING,
@@ -47,6 +48,11 @@ class Plant:
         Position [m], velocity [m/s] and motor force [N] of the three axes.
     motor_work_J
         Work that the motors have done on the mass so far [J].
+    hand
+        Stiffness [N/m], damping [N s/m] and mass [kg] of the linear hand that holds the device;
+        zero without a hand. The spring of the hand pulls the mass towards position zero. If the
+        hand's target position is not zero, add the stiffness times the target position to the
+        external force of `advance`.
     """
 
     def __init__(
@@ -63,15 +69,7 @@ class Plant:
         self._amplifier = amplifier_Hz
         self.position = self.velocity = self.motor_force = NOTHING
         self.motor_work_J = 0.0
-        self._hand: Triple = NOTHING
-
-    def hold(self, *, stiffness_N_m: float, damping_N_s_m: float, mass_kg: float) -> None:
-        """Attach the mass to a linear hand, or release the mass if all values are zero.
-
-        The hand's spring pulls the mass towards position zero. If the hand's target position is not
-        zero, add the stiffness times the target position to the external force of `advance`.
-        """
-        self._hand = (stiffness_N_m, damping_N_s_m, mass_kg)
+        self.hand: Sequence[float] = NOTHING
 
     def advance(
         self, step_s: float, *, command: Triple, external: Triple, substeps: int = 1
@@ -82,7 +80,7 @@ class Plant:
         """
         if self._amplifier == inf:
             self.motor_force = command
-        stiffness, damping, mass = self._hand
+        stiffness, damping, mass = self.hand
         (xx, xv, xf, xu, xw), (vx, vv, vf, vu, vw), (_, _, ff, fu, _) = plant_step(
             self._mass + mass,
             self._damping + damping,
@@ -136,6 +134,16 @@ class Plant:
         self.velocity = (v0, v1, v2)
         self.motor_force = (f0, f1, f2)
         self.motor_work_J = work
+
+
+def _combined(first: float, one: Triple, second: float, other: Triple) -> Triple:
+    """Return the linear combination ``first * one + second * other``."""
+    x, y, z = [first * a + second * b for a, b in zip(one, other, strict=True)]
+    return x, y, z
+
+
+def _times(factor: float, vector: Triple) -> Triple:
+    return factor * vector[0], factor * vector[1], factor * vector[2]
 
 
 class SimulatedDevice(ComputedDevice):
@@ -215,7 +223,6 @@ class SimulatedDevice(ComputedDevice):
         )
         self._given: tuple[Triple, Triple] = (NOTHING, NOTHING)
         self._tick = 0
-        self._grip = Grip()
         self._sample = Sample(0.0, self._read_position(), quaternion=self._read_orientation())
 
     @property
@@ -254,8 +261,7 @@ class SimulatedDevice(ComputedDevice):
         if size <= limit:
             return x, y, z
         self.saturated_ticks += 1
-        share = limit / size
-        return share * x, share * y, share * z
+        return _times(limit / size, (x, y, z))
 
     def _advance(self) -> None:
         """Advance the hand and the device by one tick of the device, and read the encoders."""
@@ -263,20 +269,13 @@ class SimulatedDevice(ComputedDevice):
         action = (
             HandAction() if self._hand is None else self._hand.act(at, self.translation.position)
         )
-        if action.grip != self._grip:
-            self._hold(action.grip)
+        self.translation.hand = action.grip[:3]
+        self.rotation.hand = action.grip[3:]
         self._commands.append(self._given)
-        # Scalar arithmetic on three numbers is faster than vectors.
-        stiffness = self._grip.stiffness_N_m
-        damping = self._grip.damping_N_s_m
-        (ax, ay, az) = action.aim_m
-        (u, v, w) = action.aim_velocity_m_s
-        (fx, fy, fz) = action.push_N
-        x, y, z = external = (
-            stiffness * ax + damping * u + fx,
-            stiffness * ay + damping * v + fy,
-            stiffness * az + damping * w + fz,
-        )
+        stiffness, damping, _ = self.translation.hand
+        aimed = action.aim_velocity_m_s
+        grasp = _combined(stiffness, action.aim_m, damping, aimed)
+        external = _combined(1.0, grasp, 1.0, action.push_N)
         turned = NOTHING
         if self.six_dof:
             turned = turn_between(action.aim_quaternion, self.orientation)
@@ -291,16 +290,15 @@ class SimulatedDevice(ComputedDevice):
             # The target moves within the tick. With its position in the middle of the tick, the
             # mean pull of the spring is accurate to second order.
             midpoint = stiffness * (time - at + 0.5 * length)
-            pull = x + midpoint * u, y + midpoint * v, z + midpoint * w
+            pull = _combined(1.0, external, midpoint, aimed)
             self.translation.advance(length, command=force, external=pull, substeps=fine)
             if self.six_dof:
                 self.rotation.advance(length, command=torque, external=NOTHING, substeps=fine)
             time += length
-        self._feel(external, action.aim_velocity_m_s, where, went)
+        self._feel(external, aimed, where, went)
         if self.six_dof:
-            (a, b, c) = self.rotation.position
-            (x, y, z) = turned
-            self.orientation = product(exponential((a - x, b - y, c - z)), self.orientation)
+            turn = _combined(1.0, self.rotation.position, -1.0, turned)
+            self.orientation = product(exponential(turn), self.orientation)
         # Without motors of rotation, the handle turns freely with the hand.
         elif stiffness > 0.0:
             self.orientation = action.aim_quaternion
@@ -309,13 +307,11 @@ class SimulatedDevice(ComputedDevice):
         rate = self.parameters.rate_Hz
         position = self._read_position()
         orientation = self._read_orientation()
-        (x, y, z) = position
-        (a, b, c) = before.position_m
         spin = NOTHING
         # For two equal quaternions the rotation would only be rounding noise.
         if orientation != before.quaternion:
             spin = _times(rate, turn_between(before.quaternion, orientation))
-        velocity = rate * (x - a), rate * (y - b), rate * (z - c)
+        velocity = _times(rate, _combined(1.0, position, -1.0, before.position_m))
         self._sample = Sample(self._tick * self._step, position, velocity, orientation, spin)
 
     def _feel(
@@ -326,41 +322,20 @@ class SimulatedDevice(ComputedDevice):
         The force balances the acceleration of the hand's mass, the spring and damper of the grip,
         and the hand's own push. All terms are means over the tick.
         """
-        grip = self._grip
-        moves = self.translation
+        spring, damper, mass = self.translation.hand
         rate = self.parameters.rate_Hz
         # Means over the tick: the target moves half a step, and the position is the mean of start
         # and end.
         half = 0.5 * self._step
-        (i, j, k) = moves.position
-        (u, v, w) = moves.velocity
-        spring = grip.stiffness_N_m
-        damper = grip.damping_N_s_m
-        mass = grip.mass_kg
-        (ex, ey, ez) = external
-        (ax, ay, az) = aim_velocity_m_s
-        (x, y, z) = where
-        (p, q, r) = went
-        self.hand_force_N = (
-            rate * (damper * (i - x) + mass * (u - p))
-            - (ex + spring * (half * ax - 0.5 * (x + i))),
-            rate * (damper * (j - y) + mass * (v - q))
-            - (ey + spring * (half * ay - 0.5 * (y + j))),
-            rate * (damper * (k - z) + mass * (w - r))
-            - (ez + spring * (half * az - 0.5 * (z + k))),
-        )
-
-    def _hold(self, grip: Grip) -> None:
-        """Attach the device to a grip; release the device if all values of the grip are zero."""
-        self._grip = grip
-        self.translation.hold(
-            stiffness_N_m=grip.stiffness_N_m, damping_N_s_m=grip.damping_N_s_m, mass_kg=grip.mass_kg
-        )
-        self.rotation.hold(
-            stiffness_N_m=grip.stiffness_Nm_rad,
-            damping_N_s_m=grip.damping_Nm_s_rad,
-            mass_kg=grip.inertia_kg_m2,
-        )
+        states = where, self.translation.position, went, self.translation.velocity
+        x, y, z = [
+            rate * (damper * (end - start) + mass * (fast - slow))
+            - (pull + spring * (half * aim - 0.5 * (start + end)))
+            for pull, aim, start, end, slow, fast in zip(
+                external, aim_velocity_m_s, *states, strict=True
+            )
+        ]
+        self.hand_force_N = x, y, z
 
     def _read_position(self) -> Triple:
         """Return the position that the encoders read [m]."""
@@ -373,16 +348,9 @@ class SimulatedDevice(ComputedDevice):
         return exponential(_stepped(logarithm(self.orientation), self.parameters.encoder_step_rad))
 
 
-def _times(factor: float, vector: Triple) -> Triple:
-    return factor * vector[0], factor * vector[1], factor * vector[2]
-
-
 def _stepped(vector: Triple, step: float) -> Triple:
     """Round each component of a vector to a multiple of ``step``; 0 means no rounding."""
     if step == 0.0:
         return vector
-    return (
-        step * round(vector[0] / step),
-        step * round(vector[1] / step),
-        step * round(vector[2] / step),
-    )
+    x, y, z = [step * round(each / step) for each in vector]
+    return x, y, z

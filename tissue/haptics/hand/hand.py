@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from math import exp, inf, pi, sqrt
+from math import exp, pi, sqrt
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -285,8 +285,6 @@ class Hand:
     turn
         Function that returns the intended orientation, a unit quaternion (x, y, z, w), at a time
         [s].
-    let_go_s
-        Time at which the hand releases the device [s].
     """
 
     def __init__(
@@ -298,13 +296,11 @@ class Hand:
         step_s: float = TICK_S,
         push: Callable[[float], Array] | None = None,
         turn: Callable[[float], Array] | None = None,
-        let_go_s: float = inf,
     ) -> None:
         self.parameters = parameters
         self._rng = rng
         self._push = push
         self._turn = turn
-        self._let_go = let_go_s
         self._aim = path if isinstance(path, Aiming) else Aim(path, parameters, rng=rng)
         self._grip = parameters.grip
         self._pending = deque([NOTHING] * round(parameters.reflex_s / step_s))
@@ -322,8 +318,6 @@ class Hand:
 
     def act(self, time_s: float, position_m: Triple) -> HandAction:
         """Return the action of the hand with the device at ``position_m`` [m]."""
-        if time_s >= self._let_go:
-            return HandAction()
         (x, y, z), (u, v, w) = self._aim.at(time_s)
         if not self._drawn:
             self._drawn = self._rng.standard_normal((BLOCK, 9)).tolist()

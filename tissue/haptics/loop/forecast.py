@@ -4,7 +4,6 @@ import pickle
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import cached_property
 from math import isnan
 from typing import TYPE_CHECKING
 
@@ -50,6 +49,9 @@ The value is three times the longest memory of the built-in predictors.
 class Forecast:
     """Linear model of a predicted force: sum of taps(a) . (x, v, F)(t - a) over ages a.
 
+    Two forecasts are equal only if they are one object. `forecast_of` returns one object for equal
+    predictors, so cached results of the stability analysis are used again.
+
     Attributes
     ----------
     taps
@@ -69,17 +71,6 @@ class Forecast:
     taps: Array
     gain: float = 1.0
     stiffness_N_m: float | None = None
-
-    def __eq__(self, other: object) -> bool:
-        """Compare by value, so that cached results of the analysis are used for equal forecasts."""
-        return isinstance(other, Forecast) and self._value == other._value
-
-    def __hash__(self) -> int:
-        return hash(self._value)
-
-    @cached_property
-    def _value(self) -> tuple[bytes, tuple[int, ...], float, float | None]:
-        return self.taps.tobytes(), self.taps.shape, self.gain, self.stiffness_N_m
 
     @property
     def memory(self) -> tuple[int, int]:

@@ -10,13 +10,14 @@ nearest to the device could end on the far side of a thin wall.
 
 from dataclasses import dataclass, field
 from math import ceil, isfinite, sqrt
+from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from kernels.mirror import Mirror
+from kernels.mirror import Mirror, filled, put
 from kernels.proxy import (
     CENTRE,
     CONVERGED,
@@ -33,7 +34,7 @@ from kernels.proxy import (
 from kernels.proxy_contacts import VOXEL_PLANES, Contacts, Shell
 from kernels.proxy_descent import DescentSettings
 from kernels.proxy_forces import MEMBERS
-from kernels.voxmap import BALL, BOX, CELL, HALF_SPACE, SURFACE, Field, field_distance
+from kernels.voxmap import CELL, SURFACE, Field
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.cutters.cutter import Cutter
@@ -43,22 +44,6 @@ FELT_VOXELS = 0.5 * sqrt(3.0)
 """Largest distance from a voxel at which its trilinear fraction is not zero [voxel]."""
 NOWHERE_M = 1e30
 """Distance to bone if there is no bone at all [m]; the number is finite in single precision."""
-
-
-@dataclass(frozen=True, eq=False)
-class HalfSpace:
-    """Half-space behind a plane.
-
-    Attributes
-    ----------
-    point_m
-        Point of the plane [m], shape (3,).
-    normal
-        Outward direction, shape (3,), of any length except 0.
-    """
-
-    point_m: Array
-    normal: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,96 +65,41 @@ class Box:
     rotation: Array = field(default_factory=lambda: np.eye(3))
 
 
-@dataclass(frozen=True, eq=False)
-class Ball:
-    """Solid ball with centre ``centre_m`` [m], shape (3,), and radius ``radius_m`` [m]."""
-
-    centre_m: Array
-    radius_m: float
-
-
-Solid = HalfSpace | Box | Ball
-
-
 class ContactField:
-    """Objects that a tool may touch: solids, and optionally bone that is modelled by voxels.
+    """Objects that a tool may touch: solid boxes, and optionally bone that is modelled by voxels.
 
     Parameters
     ----------
-    *solids
-        Convex solids that the tool may touch. Use several solids for a concave object, such as two
-        half-spaces for an inner corner.
+    *boxes
+        Solid boxes that the tool may touch. Use several boxes for a concave object, such as an
+        inner corner.
     store
         Voxels of bone, which may be carved during contact. The surface for contact is where the
         interpolated fraction of bone is 1/4. This surface lies about a quarter of a voxel outside
         the true surface. For a tool with normals, the offset is corrected; see
         :mod:`kernels.voxmap`.
-    device
-        Warp device name. If a store is given, the device of the store is used.
     """
 
-    def __init__(
-        self, *solids: Solid, store: BrickStore | None = None, device: str = "cpu"
-    ) -> None:
-        self.device = str(store.remaining.device) if store is not None else device
+    def __init__(self, *boxes: Box, store: BrickStore | None = None) -> None:
+        self.device = str(store.remaining.device) if store is not None else "cpu"
         self.spacing_m = store.grid.spacing_m if store is not None else 0.0
         self.sink_m = (0.5 - SURFACE) * self.spacing_m
         """Offset of shell points into the tool [m]."""
-        self.solid_count = len(solids)
-        arrays = Field()
-        kinds, centres, turns, sizes = (
-            zip(*map(_solid, solids), strict=True) if solids else ((), (), (), ())
-        )
-        arrays.kind = wp.array(kinds, dtype=wp.int32, device=self.device)
-        arrays.centre = wp.array(np.reshape(centres, (-1, 3)), dtype=wp.vec3d, device=self.device)
-        arrays.turn = wp.array(np.reshape(turns, (-1, 3, 3)), dtype=wp.mat33d, device=self.device)
-        arrays.size = wp.array(np.reshape(sizes, (-1, 3)), dtype=wp.vec3d, device=self.device)
-        arrays.spacing = wp.float64(self.spacing_m)
+        self.box_count = len(boxes)
+        members = {
+            "centre": np.reshape([box.centre_m for box in boxes], (-1, 3)),
+            "turn": np.reshape([box.rotation for box in boxes], (-1, 3, 3)),
+            "size": np.reshape([box.size_m for box in boxes], (-1, 3)),
+        }
+        arrays = filled(Field, self.device, spacing=wp.float64(self.spacing_m), **members)
         if store is not None:
             arrays.voxels_per_m = wp.float64(1.0 / self.spacing_m)
             arrays.brick_of = store.brick_of
             arrays.remaining = store.remaining
             arrays.origin = wp.vec3d(*store.grid.origin_m.tolist())
             clearance = _clearance(store.fraction() > 0, self.spacing_m)
-            arrays.clearance = wp.array(clearance, dtype=wp.float32, device=self.device)
+            arrays.clearance = put(clearance, wp.float32, self.device)
         self.arrays = arrays
-
-    def distance(self, points_m: Array) -> tuple[Array, Array]:
-        """Return the distances [m] of points to the nearest object, and the outward directions.
-
-        For points of shape (n, 3), the distances have shape (n,) and the directions (n, 3). The
-        distances are exact for solids. For voxels, the distance to the contact surface is accurate
-        to first order within half a voxel of this surface. For points farther away, the distance is
-        a lower bound and the direction is (0, 0, 0).
-        """
-        points = np.ascontiguousarray(points_m, dtype=np.float64)
-        distance = wp.zeros(len(points), dtype=wp.float64, device=self.device)
-        normal = wp.zeros(len(points), dtype=wp.vec3d, device=self.device)
-        at: wp.array[object] = wp.array(points, dtype=wp.vec3d, device=self.device)
-        wp.launch(
-            field_distance,
-            dim=len(points),
-            inputs=[at, self.arrays],
-            outputs=[distance, normal],
-            device=self.device,
-        )
-        return distance.numpy(), normal.numpy()
-
-
-def _solid(solid: Solid) -> tuple[int, Array, Array, Array]:
-    """Return the kind, centre, rotation and size of a solid, as the kernels require them."""
-    match solid:
-        case HalfSpace():
-            z = np.asarray(solid.normal, dtype=np.float64) / np.linalg.norm(solid.normal)
-            # With the axis that is farthest from the normal, the cross product is never zero.
-            helper = np.eye(3)[int(np.argmin(np.abs(z)))]
-            x = helper - z * (helper @ z)
-            x /= np.linalg.norm(x)
-            return HALF_SPACE, solid.point_m, np.column_stack([x, np.cross(z, x), z]), np.zeros(3)
-        case Box():
-            return BOX, solid.centre_m, solid.rotation, 0.5 * np.asarray(solid.size_m)
-        case Ball():
-            return BALL, solid.centre_m, np.eye(3), np.full(3, solid.radius_m)
 
 
 def _clearance(holds: NDArray[np.bool_], spacing_m: float) -> NDArray[np.float32]:
@@ -264,17 +194,12 @@ If a tick reaches a limit, the proxy continues its motion in the next tick. On a
 rough surface of voxels, 6 of 1500 ticks reach a limit. If both limits are halved, 49 ticks reach a
 limit.
 """
-_POSITION = slice(POSITION, POSITION + 3)
-_ROTATION = slice(ROTATION, ROTATION + 4)
-_FORCE = slice(FORCE, FORCE + 3)
-_MOMENT = slice(MOMENT, MOMENT + 3)
-_CENTRE = slice(CENTRE, CENTRE + 3)
-_IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
+IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 @dataclass
 class ProxyResult:
-    """State of the proxy after a tick; the next tick overwrites the object.
+    """State of the proxy after a tick, in arrays that the next tick overwrites.
 
     Attributes
     ----------
@@ -338,20 +263,27 @@ class Proxy:
             tolerance = TOLERANCE_VOXELS * field.spacing_m
         device = field.device
         self._contacts = _contacts(len(shell.points_m), field, device=device)
-        tool = Shell()
-        tool.point = wp.array(
-            shell.points_m - field.sink_m * shell.normals, dtype=wp.vec3d, device=device
+        tool = filled(
+            Shell,
+            device,
+            point=shell.points_m - field.sink_m * shell.normals,
+            radius=wp.float64(shell.radius_m),
+            reach=wp.float64(shell.reach_m),
         )
-        tool.radius, tool.reach = map(wp.float64, (shell.radius_m, shell.reach_m))
-        settings = DescentSettings()
-        numbers = map(wp.float64, (compliance, friction, step, tolerance))
-        settings.compliance, settings.friction, settings.step, settings.tolerance = numbers
-        settings.step_limit = STEP_LIMIT
-        settings.solve_limit = SOLVE_LIMIT
+        settings = filled(
+            DescentSettings,
+            device,
+            compliance=wp.float64(compliance),
+            friction=wp.float64(friction),
+            step=wp.float64(step),
+            tolerance=wp.float64(tolerance),
+            step_limit=STEP_LIMIT,
+            solve_limit=SOLVE_LIMIT,
+        )
         self._goal = Mirror(TRAVEL, dtype=wp.float64, device=device)
         self._state = Mirror(STATE, dtype=wp.float64, device=device)
         self._report = Mirror(REPORT, dtype=wp.float64, device=device)
-        self._goal.host[_ROTATION] = self._state.host[_ROTATION] = _IDENTITY
+        self._state.host[ROTATION : ROTATION + 4] = IDENTITY
         self._field = field  # the recorded kernel launch reads the arrays of the field
         self._launch = wp.launch(
             advance_proxy,
@@ -361,11 +293,17 @@ class Proxy:
             device=device,
             record_cmd=True,
         )
+        state = self._state.host
+        report = self._report.host
         self.result = ProxyResult(
-            np.zeros(3), _IDENTITY.copy(), np.zeros(3), np.zeros(3), np.zeros(3)
+            position_m=state[POSITION : POSITION + 3],
+            quaternion=state[ROTATION : ROTATION + 4],
+            push_m=report[FORCE : FORCE + 3],
+            push_moment_m2=report[MOMENT : MOMENT + 3],
+            arm_m=report[CENTRE : CENTRE + 3],
         )
 
-    def place(self, position_m: Array, quaternion: Array = _IDENTITY) -> ProxyResult:
+    def place(self, position_m: Array, quaternion: Array = IDENTITY) -> ProxyResult:
         """Place the proxy at a free pose, and clear all contacts.
 
         Raises
@@ -392,7 +330,7 @@ class Proxy:
             )
         return self.result
 
-    def advance(self, position_m: Array, quaternion: Array = _IDENTITY) -> ProxyResult:
+    def advance(self, position_m: Array, quaternion: Array = IDENTITY) -> ProxyResult:
         """Follow the device to a pose, given by position [m] and quaternion (x, y, z, w).
 
         The next call overwrites the object that this call returns.
@@ -415,8 +353,8 @@ class Proxy:
                 f"{position_m} m, {quaternion}",
                 "keep the last finite pose and ramp the force to zero",
             )
-        self._goal.host[_POSITION] = position_m
-        self._goal.host[_ROTATION] = quaternion
+        self._goal.host[POSITION : POSITION + 3] = position_m
+        self._goal.host[ROTATION : ROTATION + 4] = quaternion
         self._goal.push()
 
     def _run(self) -> None:
@@ -424,37 +362,26 @@ class Proxy:
         self._launch.launch()
         self._state.pull()
         self._report.pull()
-        state = self._state.host
-        report = self._report.host
-        result = self.result
-        result.position_m[:] = state[_POSITION]
-        result.quaternion[:] = state[_ROTATION]
-        result.push_m[:] = report[_FORCE]
-        result.push_moment_m2[:] = report[_MOMENT]
-        result.arm_m[:] = report[_CENTRE]
-        result.contacts = int(report[PRESSING])
-        result.settled = bool(report[CONVERGED] != 0.0)
+        self.result.contacts = int(self._report.host[PRESSING])
+        self.result.settled = bool(self._report.host[CONVERGED] != 0.0)
 
 
 def _contacts(points: int, field: ContactField, *, device: str) -> Contacts:
     """Allocate memory for all possible contacts of a shell with ``points`` points."""
-    slots = field.solid_count + (VOXEL_PLANES if field.spacing_m > 0.0 else 0)
-    contacts = Contacts()
-    contacts.slots = slots
-    for name, count, kind in (
-        ("press", points * slots, wp.float64),
-        ("wake", points, wp.float64),
-        ("plane_normal", (points, VOXEL_PLANES), wp.vec3d),
-        ("plane_offset", (points, VOXEL_PLANES), wp.float64),
-        ("slot", points * slots, wp.int32),
-        ("arm", points * slots, wp.vec3d),
-        ("normal", points * slots, wp.vec3d),
-        ("moment", points * slots, wp.vec3d),
-        ("gap", points * slots, wp.float64),
-        ("chosen", points * slots, wp.int32),
-        ("member", MEMBERS, wp.int32),
-        ("lower", (MEMBERS, MEMBERS), wp.float64),
-        ("side", (MEMBERS, 3), wp.float64),
-    ):
-        setattr(contacts, name, wp.zeros(count, dtype=kind, device=device))
+    slots = field.box_count + (VOXEL_PLANES if field.spacing_m > 0.0 else 0)
+    struct: Any = Contacts
+    shapes: dict[str, Any] = {
+        "wake": points,
+        "plane_normal": (points, VOXEL_PLANES),
+        "plane_offset": (points, VOXEL_PLANES),
+        "member": MEMBERS,
+        "lower": (MEMBERS, MEMBERS),
+        "side": (MEMBERS, 3),
+    }
+    arrays = {
+        name: wp.zeros(shapes.get(name, points * slots), dtype=kind.type.dtype, device=device)
+        for name, kind in struct.vars.items()
+        if name != "slots"
+    }
+    contacts: Contacts = filled(struct, device, slots=slots, **arrays)
     return contacts

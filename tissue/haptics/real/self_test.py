@@ -7,6 +7,7 @@ from datetime import date
 from math import isfinite, nan, pi, sin, sqrt
 from pathlib import Path
 from time import perf_counter, sleep
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,6 +37,13 @@ START_S = 5.0
 """Longest time to wait for the first sample [s]."""
 
 
+class Spread(NamedTuple):
+    """Median and 99th percentile of measured times [s]; nan without a measurement."""
+
+    median_s: float
+    most_s: float
+
+
 @dataclass(frozen=True, kw_only=True)
 class SelfTest:
     """Measurements of a device while zero force is commanded in each tick.
@@ -46,39 +54,30 @@ class SelfTest:
         Duration of the measurement [s].
     samples, rate_Hz
         Number of new samples, and their rate [Hz].
-    interval_s, interval_99_s, longest_s
-        Time between two samples [s]: median, 99th percentile, longest.
-    call_s, call_99_s
-        Total duration of a read and a command [s]: median and 99th percentile.
-    round_trip_s, round_trip_99_s
-        Time from a command to the first sample that confirms it [s]: median and 99th percentile;
-        nan if the device does not confirm commands.
+    interval, longest_s
+        Time between two samples, and the longest such time [s].
+    call
+        Total duration of a read and a command.
+    round_trip
+        Time from a command to the first sample that confirms it, if the device confirms commands.
     """
 
     seconds: float
     samples: int
     rate_Hz: float
-    interval_s: float
-    interval_99_s: float
+    interval: Spread
     longest_s: float
-    call_s: float
-    call_99_s: float
-    round_trip_s: float = nan
-    round_trip_99_s: float = nan
+    call: Spread
+    round_trip: Spread
 
     @property
-    def delay_s(self) -> float:
-        """Latency of the device in addition to the zero-order hold [s].
+    def delay(self) -> Spread:
+        """Latency of the device in addition to the zero-order hold.
 
-        The latency is the median round trip time if it is known, otherwise the median duration of a
-        read and a command.
+        The latency is the round trip time if it is known, otherwise the duration of a read and a
+        command.
         """
-        return self.round_trip_s if isfinite(self.round_trip_s) else self.call_s
-
-    @property
-    def delay_99_s(self) -> float:
-        """99th percentile of the latency [s]."""
-        return self.round_trip_99_s if isfinite(self.round_trip_s) else self.call_99_s
+        return self.round_trip if isfinite(self.round_trip.median_s) else self.call
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,7 @@ def self_test(
         If there are too few samples. `DeviceError` is raised if positions leave the device's reach,
         for example because they are in millimetres.
     """
-    require_range("seconds", seconds, 0.1, 600.0, "use 2")
+    require_range("seconds", seconds, 0.1, 600.0, "use a value such as 2")
     zero = np.zeros(3)
     times = list[float]()
     calls = list[float]()
@@ -146,20 +145,18 @@ def self_test(
         )
     gaps = np.diff(times)
     shown = [each for each in trips if isfinite(each)]
-    (interval, interval_99) = _middle_and_99(gaps)
-    (call, call_99) = _middle_and_99(calls)
-    trip, trip_99 = _middle_and_99(shown) if len(shown) >= FEWEST else (nan, nan)
+    if len(shown) < FEWEST:
+        shown = [nan]
+    measured = [np.percentile(each, [50.0, 99.0]).tolist() for each in (gaps, calls, shown)]
+    interval, call, round_trip = (Spread(*each) for each in measured)
     return SelfTest(
         seconds=seconds,
         samples=len(times),
         rate_Hz=len(gaps) / (times[-1] - times[0]),
-        interval_s=interval,
-        interval_99_s=interval_99,
+        interval=interval,
         longest_s=float(gaps.max()),
-        call_s=call,
-        call_99_s=call_99,
-        round_trip_s=trip,
-        round_trip_99_s=trip_99,
+        call=call,
+        round_trip=round_trip,
     )
 
 
@@ -207,13 +204,6 @@ def bump(
     )
 
 
-def _middle_and_99(
-    values: "list[float] | np.ndarray[tuple[int], np.dtype[np.float64]]",
-) -> tuple[float, float]:
-    middle, most = np.percentile(values, [50.0, 99.0])
-    return float(middle), float(most)
-
-
 EVERY_TICK = 0.95
 """Share of ticks with a new sample above which the device's rate is set to the tick rate.
 
@@ -237,10 +227,10 @@ def write_measured(path: Path, name: str, test: SelfTest) -> None:
     """
     most = 1.0 / TICK_S
     rate = min(max(test.rate_Hz, SLOWEST_HZ), most)
-    low = min(max(1.0 / test.interval_99_s, SLOWEST_HZ), most)
+    low = min(max(1.0 / test.interval.most_s, SLOWEST_HZ), most)
     rate = most if rate >= EVERY_TICK * most else rate
-    delay = min(test.delay_s, LONGEST_S)
-    high = min(max(test.delay_99_s, test.delay_s), LONGEST_S)
+    delay = min(test.delay.median_s, LONGEST_S)
+    high = min(max(test.delay), LONGEST_S)
     today = date.today().isoformat()
     by = f"measured by tissue devices --test {name} for {test.seconds:g} s on {today}"
     text = '# Constants of a device: use them in a scene by  materials = "FILE"\n'

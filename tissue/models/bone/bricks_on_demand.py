@@ -197,7 +197,9 @@ def _too_fine(spacing_m: float, share: float, requirement: str) -> InputError:
     # The suggestion is a tenth coarser than the largest number of voxels requires, rounded up to
     # 0.01 mm.
     fits_mm = np.ceil(1.1e5 * spacing_m * share ** (1.0 / 3.0)) / 100.0
-    return InputError("spacing_mm", requirement, f"{1e3 * spacing_m:g}", f"use {fits_mm:g}")
+    return InputError(
+        "spacing_mm", requirement, f"{1e3 * spacing_m:g}", f"use a spacing such as {fits_mm:g}"
+    )
 
 
 def _box_of(wanted: Flags) -> tuple[Ints, Ints]:

@@ -83,7 +83,7 @@ class IncisedTissue:
         for name in ("toughness_J_m2", "stiffness_N_m", "young_Pa"):
             require_positive(name, getattr(self, name), "give it in SI units")
         require_range("friction_Pa", self.friction_Pa, 0.0, 1e6, "give it in Pa")
-        require_range("poisson_ratio", self.poisson_ratio, 0.0, 0.5, "use 0.49")
+        require_range("poisson_ratio", self.poisson_ratio, 0.0, 0.5, "use a value such as 0.49")
         require_range("prestrain", self.prestrain, 0.0, 1.0, "use 0 for a cut that stays closed")
 
 

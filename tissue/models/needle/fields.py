@@ -56,11 +56,15 @@ class Track:
         Unit vector along the needle's axis from tip to shank, shape (3,).
     deepest_m
         Largest travel of the tip beyond the surface, along the axis [m].
+    arm_m
+        Vector from the entry to the deepest position of the tip in the first insertion [m], shape
+        (3,). It is parallel to the axis if the needle moves along its axis.
     """
 
     entry_m: Array
     outward: Array
     deepest_m: float
+    arm_m: Array
 
     @classmethod
     def first_of(cls, tips_m: Array, outward: Array, *, diameter_m: float) -> "Track | None":
@@ -83,9 +87,17 @@ class Track:
         # The needle stays outside, or starts inside, so no entry is known.
         if len(inside) == 0 or inside[0] == 0:
             return None
+        first = int(inside[0])
+        before, after = tips_m[first - 1 : first + 1]
+        height = max(before[2], 0.0)
+        entry = before + height / (height - after[2]) * (after - before)
+        left = first + np.flatnonzero(travel[first:] <= 0.0)
+        visit = travel[first : left[0] if len(left) else None]
         entries = tips_m[inside] + travel[inside, None] * outward[inside]
-        same = np.linalg.norm(entries - entries[0], axis=1) <= diameter_m
-        return cls(entries[0], outward[inside[0]], float(travel[inside][same].max()))
+        same = np.linalg.norm(entries - entry, axis=1) <= diameter_m
+        deepest = max(visit.max(), travel[inside][same].max(initial=0.0))
+        arm = tips_m[first + int(visit.argmax())] - entry
+        return cls(entry, outward[first], float(deepest), arm)
 
 
 def needle_block(track: Track) -> tuple[TetMesh, Ints, Array]:
@@ -151,11 +163,7 @@ class NeedleFields:
         self.track = track
         self._inward = -track.outward
         self._near_m = near_m
-        between = organ.compliance_between(self.nodes)
-        count = len(self.nodes)
-        self._compliance = np.einsum(
-            "i,aibj,j->ab", self._inward, between.reshape(count, 3, count, 3), self._inward
-        )
+        self._compliance = organ.compliance_between(self.nodes)
         self._fields = OrganFields(organ, self.nodes, interval_s=interval_s)
         self.next_s = 0.0
         self._kept = list[tuple[float, float, float]]()
@@ -194,7 +202,7 @@ class NeedleFields:
     def compute(self) -> None:
         """Solve for the fields at all stored times."""
         for time_s, deflection, inserted in self._kept:
-            force = self.forces_N(deflection, inserted)[:, None] * self._inward
+            force = self.forces_N(deflection, inserted)
             self._fields.keep(time_s, force, force)
         self._kept.clear()
         self._fields.compute()
@@ -213,14 +221,14 @@ class NeedleFields:
         )
 
     def forces_N(self, deflection_m: float, inserted_m: float) -> Array:
-        """Return the axial nodal forces [N], positive inwards, that cause a deflection.
+        """Return the nodal forces [N] that cause a deflection, shape (k, 3).
 
-        The nodes on the track, down to the inserted length, are displaced by the deflection. The
-        forces on all k nodes of the track have shape (k,).
+        The k nodes are those on the track. Down to the inserted length, they are displaced along
+        the needle by the deflection. The needle is rigid, so they are not displaced across it.
         """
         moved = self._depths_m <= inserted_m + ON_TRACK_M
-        forces = np.zeros(len(self.nodes))
-        forces[moved] = np.linalg.solve(
-            self._compliance[np.ix_(moved, moved)], np.full(moved.sum(), deflection_m)
-        )
+        forces = np.zeros((len(self.nodes), 3))
+        rows = np.repeat(moved, 3)
+        shift = np.tile(deflection_m * self._inward, moved.sum())
+        forces[moved] = np.linalg.solve(self._compliance[np.ix_(rows, rows)], shift).reshape(-1, 3)
         return forces

@@ -11,6 +11,9 @@ from tissue.models.needle.parameters import LEAST_COSINE, NeedleTissue, positive
 from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import Response, ToolMotion
 
+ASIDE_M = 5e-3
+"""Sideways motion of a needle inside the organ [m] that causes an event, chosen by judgement."""
+
 
 class Insertion:
     """One track of a needle, in one dimension.
@@ -23,15 +26,16 @@ class Insertion:
 
     Here a1 and a2 are the coefficients of the organ's elastic force. ``tip`` is the cutting force,
     which is constant and acts only where the tip goes deeper than before. ``hold`` is the constant
-    force with which the holes in the membranes hold the shaft. ``friction`` increases with L. While
-    the pull is smaller than the sum on the right side, needle and organ move together: the shaft
-    sticks and L is constant. The pull is the applied force of Karnopp's friction law, which is
-    compared with the static friction. The shaft slides if the pull exceeds the right side with the
-    static friction. Then the balance gives u in closed form, and L = z - u. An intact membrane
-    stops the tip until the pull also exceeds the puncture force. Then the organ springs back along
-    the shaft at once, to the deflection u of the new balance. Before the puncture the force is
-    therefore the polynomial of Okamura (2004) in u. After the puncture the deflection, the elastic
-    force and the inserted length are larger than zero.
+    force with which the holes in the membranes hold the shaft. ``friction`` is the dry friction of
+    the shaft, without viscous friction. It increases with L. While the pull is smaller than the sum
+    on the right side, needle and organ move together: the shaft sticks and L is constant. The pull
+    is the applied force of Karnopp's friction law, which is compared with the static friction. The
+    shaft slides if the pull exceeds the right side with the static friction. Then the balance gives
+    u in closed form, and L = z - u. An intact membrane stops the tip until the pull also exceeds
+    the puncture force. Then the organ springs back along the shaft at once, to the deflection u of
+    the new balance. Before the puncture the force is therefore the polynomial of Okamura (2004) in
+    u. After the puncture the deflection, the elastic force and the inserted length are larger than
+    zero.
 
     A shaft sticks when its motion stops or reverses, or when an obstacle stops the tip. It also
     sticks when its speed falls below half of `ShaftFriction.stick_band_m_s`. Viscous friction acts
@@ -259,7 +263,8 @@ class NeedleModel:
     """Organ under the plane z = 0 with a needle that moves in and out along its axis.
 
     The force is computed by `tissue.models.needle.model.Insertion` and acts along the needle's
-    axis. Sideways motion or rotation of the needle inside the organ has no resistance. Travel and
+    axis. Sideways motion or rotation of the needle inside the organ has no resistance. An event
+    reports a sideways motion of more than `ASIDE_M` from the track. Travel and
     inserted length are measured along the axis, from its intersection with the undeformed surface.
     Membranes are parallel to the surface. Their inserted lengths follow from the direction of the
     needle at its entry, and a later rotation does not change them. Only the latest track is stored.
@@ -309,6 +314,7 @@ class NeedleModel:
         self._fields = fields
         self._diameter_m = diameter_m
         self._entry_m = np.full(3, np.nan)
+        self._is_aside = False
         membranes = tuple(membrane.name for membrane in tissue.membranes)
         surface = sum(membrane.depth_m == 0.0 for membrane in tissue.membranes)
         self.layer_names = (*membranes[:surface], "parenchyma", *membranes[surface:])
@@ -338,6 +344,7 @@ class NeedleModel:
             )
         self.insertion = Insertion(self.tissue, travel_m=travel)
         self._entry_m[:] = np.nan
+        self._is_aside = False
 
     def advance(self, motion: ToolMotion) -> None:
         """Move the needle to its new pose, with elastic deflection, cutting and friction."""
@@ -361,12 +368,14 @@ class NeedleModel:
                 )
             self.notices.append(what)
             punctured += 1
+        if insertion.inserted_m > 0.0 and not self._is_aside:
+            self._notice_sideways(motion, travel)
         if inside and insertion.inserted_m == 0.0:
             self.notices.append("the needle has left the organ")
 
     def state(self) -> State:
         """Return a copy of the state on which later ticks depend."""
-        return copied(self, ("insertion", "_entry_m"))
+        return copied(self, ("insertion", "_entry_m", "_is_aside"))
 
     def restore(self, state: State) -> None:
         """Restore a state that `state` has returned."""
@@ -378,7 +387,9 @@ class NeedleModel:
         response = self._response
         axis = motion.rotation[:, 2]
         along = float(motion.heading[0].dot(axis))
-        drag = insertion.drag_N_s_m * along
+        # A path can turn within a tick in which the shaft slides. The shaft then sticks at its end.
+        turned = insertion.sliding * along > 0.0
+        drag = 0.0 if turned else insertion.drag_N_s_m * along
         pull = insertion.pull_N
         response.edge[:3] = pull * axis
         response.resistance[:3] = -drag * axis
@@ -447,10 +458,22 @@ class NeedleModel:
         is_new = not np.linalg.norm(entry - self._entry_m) <= self._diameter_m
         if is_new:
             self._entry_m[:] = entry
+            self._is_aside = False
         # Where nothing is cut yet, the track has the direction of the needle.
         if is_new or self.insertion.cut_m == 0.0:
             self.insertion = Insertion(self.tissue, cosine=float(motion.rotation[2, 2]))
         return self.insertion
+
+    def _notice_sideways(self, motion: ToolMotion, travel_m: float) -> None:
+        """Add an event if the axis of the needle has left its entry sideways."""
+        axis = motion.rotation[:, 2]
+        x, y = motion.tip_m[:2] + travel_m * axis[:2] - self._entry_m[:2]
+        if x * x + y * y > ASIDE_M**2:
+            self._is_aside = True
+            self.notices.append(
+                f"the needle has moved {1e3 * ASIDE_M:g} mm sideways in the organ: forces across "
+                "its axis are not modelled"
+            )
 
     def _layer(self) -> int:
         """Return the index of the layer that the tip touches."""

@@ -177,10 +177,6 @@ class ContactOutcome(Enum):
         "the tool enters where the organ's supports do not yield: hold fewer nodes, or press "
         "elsewhere"
     )
-    MISSING = (
-        "the compliance of nodes in reach is missing: fill the blocks of "
-        "nodes_in_reach before the solve"
-    )
 
 
 @dataclass
@@ -262,8 +258,7 @@ class SurfaceContact:
         Triangles between these nodes, counter-clockwise seen from outside, shape (f, 3).
     compliance_m_N
         Compliance of the touchable nodes [m/N], symmetric, float64, shape (3s, 3s). On a CPU the
-        matrix is not copied, so the caller may fill it block by block between calls of `solve`.
-        Missing blocks hold NaN. Filled blocks must not change.
+        matrix is not copied. The caller must not change it.
     probe
         The tool.
     friction
@@ -475,15 +470,6 @@ class SurfaceContact:
         self._results.host[LARGEST] += float(np.linalg.norm(offset_m, axis=1).max())
         self._results.push()
         self._shifted = True
-
-    def nodes_in_reach(self, tip_m: Array, rotation: Array, margin_m: float) -> Ints:
-        """Return the touchable nodes of triangles that are near the tool when the organ is at rest.
-
-        A triangle is near if its distance from the tool is at most `margin_m`. The compliance of
-        these nodes must be known before a contact is solved.
-        """
-        distance = self.probe.distance((self._centres - tip_m) @ rotation)
-        return np.unique(self.faces[distance < self._radii + margin_m])
 
     def solve(self, tip_m: Array, rotation: Array) -> ContactResult:
         """Move the tool to its next pose and solve for the forces.

@@ -6,9 +6,18 @@ from math import inf
 import numpy as np
 
 from meshes.base.arrays import Array, Ints, Singles
-from tissue.fem.fields import FieldSeries, Frame, StressState, cell_stress
+from tissue.fem.fields import (
+    FieldSeries,
+    Frame,
+    StressState,
+    cell_stress,
+    deviator_norm,
+    displacement_gradient,
+    principal_stresses,
+    von_mises,
+)
 from tissue.fem.quasi_newton import Followed
-from tissue.fem.space import EDGES, Space, gauss_points, gradient_slopes
+from tissue.fem.space import EDGES, Space, gauss_points
 from tissue.materials.elasticity import VOIGT
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.models.organ.law_window import LawWindow, LawWindows
@@ -118,12 +127,7 @@ class OrganFields:
             square = float(resultant @ resultant)
             if self._organ.prony is not None and square > 0.0:
                 share = float(forces.sum(axis=0) @ resultant) / square
-                stress = replace(
-                    stress,
-                    stress_Pa=share * stress.stress_Pa,
-                    von_mises_Pa=share * stress.von_mises_Pa,
-                    principal_Pa=share * stress.principal_Pa,
-                )
+                stress = replace(stress, stress_Pa=share * stress.stress_Pa)
                 reaction *= share
             self._show(time_s, moved, stress, stress.strain, reaction)
         if unsettled:
@@ -145,10 +149,6 @@ class OrganFields:
         law = organ.law
         assert law is not None
         region = window.region
-        if region is None:
-            moved = found.displacement_m
-            stress = cauchy_stress(self._space, moved, law.law, law.cell_factors)
-            return moved, stress, found.internal_N - found.load_N
         load = self._spread(crept_N)
         # The forces of the springs equal the contact forces within the tolerance.
         load[region.nodes] += (found.load_N - window.spread(crept_N))[: len(region.nodes)]
@@ -163,8 +163,8 @@ class OrganFields:
         nodal = region.nodal_m(found.displacement_m)
         factors = law.cell_factors[region.cells]
         inside = cauchy_stress(region.body.space, nodal, law.law, factors)
-        for name, values in vars(stress).items():
-            values[region.cells] = getattr(inside, name)
+        stress.strain[region.cells] = inside.strain
+        stress.stress_Pa[region.cells] = inside.stress_Pa
         return moved, stress, reaction
 
     def _compute_linear(self, time_s: float, force_N: Array, crept_N: Array) -> None:
@@ -203,9 +203,10 @@ class OrganFields:
             np.add.at(reaction, end, 0.5 * reaction[corners:])
         points = {"displacement_mm": 1e3 * moved_m[:corners], "reaction_N": reaction[:corners]}
         cells = {
-            "von_mises_kPa": 1e-3 * stress.von_mises_Pa,
-            "principal_stress_kPa": 1e-3 * stress.principal_Pa,
-            "strain_percent": 100.0 * _equivalent_strain(strain),
+            "von_mises_kPa": 1e-3 * von_mises(stress.stress_Pa),
+            "principal_stress_kPa": 1e-3 * principal_stresses(stress.stress_Pa),
+            # Von Mises equivalent strain sqrt(2/3 e : e), with the deviator e of the strain.
+            "strain_percent": 100.0 * np.sqrt(2.0 / 3.0) * deviator_norm(strain),
         }
         self.series.frames.append(Frame(time_s, _single(points), _single(cells)))
 
@@ -235,30 +236,18 @@ def cauchy_stress(
     law, cell_factors
         Hyperelastic law, and factor by which its moduli are multiplied in each cell, shape (m,).
     """
-    corners = space.gradients[0].numpy()
     points = gauss_points(space.order)
     stress = np.zeros((space.cell_count, 3, 3))
     strain = np.zeros_like(stress)
     for point in points:
-        shape = np.einsum("aci,i->ac", gradient_slopes(4, space.order), point)
-        gradient = np.eye(3) + np.einsum(
-            "mai,ac,mcj->mij", displacement_m[space.cell_nodes], shape, corners, optimize=True
-        )
+        gradient = np.eye(3) + displacement_gradient(space, displacement_m, point)
         turned = gradient.transpose(0, 2, 1)
         factors = cell_factors / np.linalg.det(gradient)
         stress += law.stress(gradient) @ turned * factors[:, None, None]
         size, frame = np.linalg.eigh(gradient @ turned)
         strain += np.einsum("mik,mk,mjk->mij", frame, 0.5 * np.log(size), frame)
-    stress /= len(points)
-    strain /= len(points)
-    deviator = stress - np.eye(3) * (np.trace(stress, axis1=1, axis2=2) / 3.0)[:, None, None]
     row, column = VOIGT.T
-    return StressState(
-        strain[:, row, column],
-        stress[:, row, column],
-        np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2))),
-        np.asarray(np.linalg.eigvalsh(stress)[:, ::-1], dtype=np.float64),
-    )
+    return StressState(strain[:, row, column] / len(points), stress[:, row, column] / len(points))
 
 
 def _edge_ends(space: Space) -> Ints:
@@ -268,14 +257,3 @@ def _edge_ends(space: Space) -> Ints:
     for middle, pair in zip(space.cell_nodes[:, 4:].T, EDGES, strict=False):
         ends[middle - corners] = space.mesh.cells[:, pair]
     return ends
-
-
-def _equivalent_strain(strain: Array) -> Array:
-    """Return the von Mises equivalent strain of strain tensors, shape (n, 6).
-
-    The components are xx, yy, zz, yz, xz, xy. The result is sqrt(2/3 e : e), with e the deviator of
-    the strain tensor.
-    """
-    mean = strain[:, :3].mean(axis=1, keepdims=True)
-    deviator = strain[:, :3] - mean
-    return np.sqrt(2.0 / 3.0 * ((deviator**2).sum(axis=1) + 2.0 * (strain[:, 3:] ** 2).sum(axis=1)))

@@ -1,12 +1,13 @@
 """Windows on an organ in which its hyperelastic law is solved.
 
-A window is the whole organ, or a region around a point on its surface. Outside the region the organ
-is linear (`tissue.fem.region`). When the contact leaves a window, the nearest window is used next.
-Crept forces are the contact forces after creep of the tissue, see `tissue.models.organ.law`.
+A window is a region around a point on the surface of the organ. Outside the region the organ is
+linear (`tissue.fem.region`). With an infinite radius, the region is the whole organ. When the
+contact leaves a window, the nearest window is used next. Crept forces are the contact forces after
+creep of the tissue, see `tissue.models.organ.law`.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
@@ -15,12 +16,10 @@ from scipy.spatial import cKDTree
 
 from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
-from tissue.fem.hyperelastic import NonlinearBody
 from tissue.fem.quasi_newton import QuasiNewton, Springs
 from tissue.fem.region import RegionBody
 from tissue.fem.solvers.direct import DirectSolver
 from tissue.fem.solvers.held_body import HeldBody
-from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.models.organ.compliance import FACTOR_UNKNOWNS
 from tissue.models.organ.soft_organ import OrganLaw, SoftOrgan, ToolPath
 from tissue.models.state import State, copied, put_back
@@ -50,7 +49,7 @@ from the centre of the window.
 
 @dataclass(frozen=True, eq=False)
 class LawWindow:
-    """Solver of a hyperelastic law in the whole organ or in a region of the organ.
+    """Solver of a hyperelastic law in a region of the organ.
 
     Attributes
     ----------
@@ -61,17 +60,19 @@ class LawWindow:
         (w,).
     places
         Indices of the nodes in `inside` among the nodes of the window, shape (w,).
-    fixed
-        Mask of the unknowns of the window that are held at zero, shape (n, 3).
     region
-        Region of the window; None for the whole organ.
+        Region of the window.
     """
 
     follower: QuasiNewton
     inside: Ints
     places: Ints
-    fixed: Flags
-    region: RegionBody | None = None
+    region: RegionBody
+
+    @property
+    def fixed(self) -> Flags:
+        """Mask of the unknowns of the window that are held at zero, shape (n, 3)."""
+        return self.region.fixed
 
     def spread(self, forces_N: Array) -> Array:
         """Convert forces on all touchable nodes to loads [N], shape (n, 3), of this window."""
@@ -85,17 +86,7 @@ class LawWindow:
         `nodal_m` has a row for every node of the organ. `unknowns_m` are the unknowns of the
         window, shape (n, 3).
         """
-        if self.region is None:
-            nodal_m[:] = unknowns_m
-        else:
-            nodal_m[self.region.all_nodes] = self.region.nodal_m(unknowns_m)
-
-    def gathered(self, nodal_m: Array) -> Array:
-        """Return the unknowns of this window [m], shape (n, 3), that best fit nodal displacements.
-
-        `nodal_m` are the displacements of all nodes of the organ.
-        """
-        return nodal_m if self.region is None else self.region.gathered(nodal_m)
+        nodal_m[self.region.all_nodes] = self.region.nodal_m(unknowns_m)
 
     def springs(
         self, crept_N: Array, held_m: Array, compliance: Callable[["LawWindow", Ints], Array]
@@ -145,19 +136,17 @@ class LawWindows:
 
     def __init__(self, organ: SoftOrgan, law: OrganLaw, touchable: Ints, tool: ToolPath) -> None:
         self._nodes_m = organ.space.nodes_m[touchable]
-        if law.region_m == inf:
-            self._centres_m = self._nodes_m.mean(axis=0)[None]
-            self._windows = [whole_window(organ, law, touchable)]
-        else:
-            hop_m = HOP * law.region_m
+        hop_m = HOP * law.region_m
+        self._centres_m = self._nodes_m.mean(axis=0)[None]
+        if hop_m < inf:
             away, places = cKDTree(self._nodes_m).query(tool.tips_m)
             # On a coarse mesh, a small tool between the nodes may be farther from all of them.
             is_near = away <= max(law.region_m, away.min())
             self._centres_m = window_centres(self._nodes_m[places[is_near]], hop_m)
-            self._windows = [
-                window_of(organ, law, touchable, centre, law.region_m + hop_m)
-                for centre in self._centres_m
-            ]
+        self._windows = [
+            window_of(organ, law, touchable, centre, law.region_m + hop_m)
+            for centre in self._centres_m
+        ]
         self.now = self._windows[0]
         self._count = organ.space.node_count
 
@@ -185,7 +174,7 @@ class LawWindows:
         moved = np.full((self._count, 3), np.nan)
         after.nodal_into(moved, guess)
         before.nodal_into(moved, before.follower.displacement_m)
-        after.follower.restart(after.gathered(moved))
+        after.follower.restart(after.region.gathered(moved))
         self.now = after
         return True
 
@@ -214,46 +203,6 @@ class LawWindows:
         return sum(window.follower.indefinite for window in self._windows)
 
 
-def _follower_of(
-    organ: SoftOrgan, law: Hyperelastic, cell_factors: Array, nodes: Ints
-) -> QuasiNewton:
-    """Return the solver for the equilibria of an organ under changing forces.
-
-    The compliance between the given nodes can be read from the factors of this solver.
-
-    Raises
-    ------
-    InputError
-        If the mesh is too large for a factorisation.
-    """
-    at_rest = organ.factor.solver
-    if not isinstance(at_rest, DirectSolver):
-        raise InputError(
-            "organ.law",
-            f"be linear on more than {FACTOR_UNKNOWNS:,} unknowns",
-            f"{len(organ.body.free):,}",
-            "use longer edges or the linear law",
-        )
-
-    def factorised(stiffness: bsr_array) -> DirectSolver:
-        return DirectSolver(HeldBody(stiffness, organ.space.nodes_m, organ.body.fixed), last=nodes)
-
-    # If the organ was factorised before, its elimination order may be different.
-    if not np.isin(nodes, at_rest.last).all():
-        at_rest = factorised(organ.body.stiffness)
-    body = NonlinearBody(
-        organ.space, None, law=law, cell_factors=cell_factors, membrane=organ.membrane
-    )
-    return QuasiNewton(body, organ.body.fixed, at_rest, factorised)
-
-
-def whole_window(organ: SoftOrgan, law: OrganLaw, touchable: Ints) -> LawWindow:
-    """Return a window on the whole organ."""
-    follower = _follower_of(organ, law.law, law.cell_factors, touchable)
-    inside = np.arange(len(touchable))
-    return LawWindow(follower, inside, touchable, organ.body.fixed)
-
-
 def window_centres(points_m: Array, apart_m: float) -> Array:
     """Select centres of windows from the points on a path [m]; the result has shape (k, 3).
 
@@ -273,15 +222,26 @@ def window_of(
     """Return a window that consists of the cells within a radius [m] of a centre [m].
 
     On a coarse mesh, cells are added so that no node in contact lies on the border of the window.
+
+    Raises
+    ------
+    InputError
+        If the mesh of the organ is too large for a factorisation.
     """
     space = organ.space
+    whole = organ.factor.solver
+    if not isinstance(whole, DirectSolver):
+        raise InputError(
+            "organ.law",
+            f"be linear on more than {FACTOR_UNKNOWNS:,} unknowns",
+            f"{len(organ.body.free):,}",
+            "use longer edges or the linear law",
+        )
     away = np.linalg.norm(space.nodes_m[space.cell_nodes].mean(axis=1) - centre_m, axis=1)
     from_centre = np.linalg.norm(space.nodes_m[touchable] - centre_m, axis=1)
     touched = touchable[from_centre <= max(TOUCHED * radius_m, from_centre.min())]
     near = np.flatnonzero(np.linalg.norm(space.nodes_m - centre_m, axis=1) <= TOUCHED * radius_m)
     cells = np.flatnonzero((away <= radius_m) | np.isin(space.cell_nodes, touched).any(axis=1))
-    whole = organ.factor.solver
-    assert isinstance(whole, DirectSolver)
     body = RegionBody(
         space,
         whole,
@@ -297,14 +257,11 @@ def window_of(
     places = back[touchable[inside]]
     last = np.concatenate([np.sort(places), np.arange(len(body.nodes), len(body.nodes_m))])
     stiffness = body.stiffness(np.zeros_like(body.nodes_m))
-    # Single precision changes the force of a press by 0.0004 %.
-    at_rest = DirectSolver(
-        HeldBody(stiffness, body.nodes_m, body.fixed, is_grounded=True), last=last, single=True
-    )
+    held = HeldBody(stiffness, body.nodes_m, body.fixed, is_grounded=True)
+    # In a part of an organ, single precision changes the force of a press by 0.0004 %.
+    at_rest = DirectSolver(held, last=last, single=radius_m < inf)
 
     def factorised(tangent: bsr_array) -> DirectSolver:
-        held = HeldBody(tangent, body.nodes_m, body.fixed, is_grounded=True)
-        return DirectSolver(held, like=at_rest)
+        return DirectSolver(replace(held, stiffness=tangent), like=at_rest)
 
-    follower = QuasiNewton(body, body.fixed, at_rest, factorised)
-    return LawWindow(follower, inside, places, body.fixed, body)
+    return LawWindow(QuasiNewton(body, body.fixed, at_rest, factorised), inside, places, body)

@@ -67,14 +67,6 @@ SETTLED = 1e-3
 """Relative change of the force at which alternating solutions of contact and law have converged."""
 STATE = ("_ticks", "_unsettled", "_limits", "_touched_m", "_travel_m", "_tip_m", "_offset_m")
 """Names of the attributes in a copied state, in addition to contact, law and creep."""
-LOOK_EVERY = 20
-"""Number of ticks between two searches for nodes near the tool; see `LOOK_M`."""
-LOOK_M = 5e-3
-"""Distance from the tool within which the compliance of nodes is computed in advance [m].
-
-The nodes are searched every `LOOK_EVERY` ticks. A tool at 100 mm/s moves by 2 mm between two
-searches.
-"""
 
 
 @dataclass(frozen=True)
@@ -155,7 +147,7 @@ class LiverModel:
         probe = tool.probe
         touchable, faces = organ.touchable(tool)
         self.touchable = touchable
-        compliance, self._lazy = organ.compliance(
+        compliance = organ.compliance(
             touchable, solution.path, basis_size=solution.basis_size, report=report
         )
         self.contact = SurfaceContact(
@@ -218,20 +210,9 @@ class LiverModel:
             self._law.start_thread()
         self.contact.place(motion.tip_m, motion.rotation)
         self._tip_m[:] = motion.tip_m
-        if self._lazy is not None:
-            self._search_contacts(motion)
-            self._lazy.fill()
-            # Before the first tick there is time to compute all columns.
-            while self._lazy.pour(self.contact.result.compliance_m_N):
-                pass
-            self._lazy.start()
 
     def advance(self, motion: ToolMotion) -> None:
         """Move the probe to its new pose: press, slide or lift off."""
-        if self._lazy is not None:
-            self._lazy.pour(self.contact.result.compliance_m_N)
-            if self._ticks % LOOK_EVERY == 0:
-                self._search_contacts(motion)
         self._ticks += 1
         result = self.contact.result
         if self._creep is not None:
@@ -366,8 +347,6 @@ class LiverModel:
 
     def finish(self) -> None:
         """Stop the background work, and compute the displayed fields at all stored times."""
-        if self._lazy is not None:
-            self._lazy.stop()
         if self._law is not None:
             self._law.stop_thread()
         with one_blas_thread():
@@ -396,10 +375,7 @@ class LiverModel:
         }
 
     def displacement_m(self) -> Array:
-        """Return the displacement of the touchable nodes in the last tick [m], shape (t, 3).
-
-        The displacement is NaN at nodes whose compliance is not computed yet.
-        """
+        """Return the displacement of the touchable nodes in the last tick [m], shape (t, 3)."""
         return self.contact.result.displacement_m() + self._offset_m
 
     def _solve_contact(self, motion: ToolMotion) -> None:
@@ -456,8 +432,3 @@ class LiverModel:
         if np.isnan(self._touched_m[0]):
             return 0.0
         return float((self._touched_m - motion.tip_m) @ motion.rotation[:, 2])
-
-    def _search_contacts(self, motion: ToolMotion) -> None:
-        """Request the compliance of the nodes around the tool."""
-        assert self._lazy is not None
-        self._lazy.want(self.contact.nodes_in_reach(motion.tip_m, motion.rotation, LOOK_M))

@@ -15,20 +15,15 @@ from meshes.base.progress import Progress
 from meshes.tets.regions import faces_of
 from meshes.tets.tetrahedra import TetMesh
 from tissue.fem.assembly import assemble, capsule_stiffness, gravity
-from tissue.fem.solvers.compliance import LazyCompliance
+from tissue.fem.solvers.compliance import reduced_compliance_m_N, surface_compliance_m_N
 from tissue.fem.solvers.held_body import HeldBody, held_nodes
 from tissue.fem.space import Space
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.materials.prony import Prony
-from tissue.models.organ.compliance import (
-    CONDENSING,
-    CompliancePath,
-    Factor,
-    KeptColumns,
-    compliance_of,
-)
+from tissue.models.organ.compliance import CompliancePath, Factor
 from tissue.models.organ.probe import ProbeShape
 
+CONDENSING = "condensing the compliance to the surface that can be touched"
 MARGIN_EDGES = 0.25
 """Margin around the tool's path within which surface nodes count as touchable [mesh edges].
 
@@ -245,11 +240,7 @@ class SoftOrgan:
     @cached_property
     def factor(self) -> Factor:
         """Solver for the whole organ, made when it is first used."""
-        return Factor(self.body)
-
-    @cached_property
-    def _columns(self) -> KeptColumns:
-        return KeptColumns(self.factor, np.unique(self.space.faces))
+        return Factor(self.body, np.unique(self.space.faces))
 
     def expect(self, near_m: Array, within_m: float) -> None:
         """Request a stiffness factor that contains the compliance of the surface near some points.
@@ -299,15 +290,15 @@ class SoftOrgan:
     def compliance_between(self, nodes: Ints) -> Array:
         """Return the compliance matrix of n surface nodes [m/N], shape (3n, 3n)."""
         self.factor.expect(nodes)
-        return self._columns.between(nodes)
+        return self.factor.compliance_between(nodes)
 
     def compliance(
         self, touchable: Ints, path: CompliancePath | None, *, basis_size: int, report: Progress
-    ) -> tuple[Array, LazyCompliance | None]:
-        """Return the compliance of touchable nodes [m/N], and the object that computes its columns.
+    ) -> Array:
+        """Return the compliance of t touchable nodes [m/N], shape (3t, 3t).
 
-        See `compliance_of`. If `path` is None, columns of the compliance are computed from the
-        organ's factor and stored for the next tool.
+        If `path` is None, columns of the compliance are computed from the organ's factor and stored
+        for the next tool. `basis_size` is the number of modes of the path ``reduced``.
 
         Raises
         ------
@@ -316,9 +307,13 @@ class SoftOrgan:
         """
         report(CONDENSING, 0.0)
         if path is None:
-            return self.compliance_between(touchable), None
-        if path == "condensed":
-            self.factor.expect(touchable)
-        return compliance_of(
-            self.body, touchable, self.factor, path=path, basis_size=basis_size, report=report
+            return self.compliance_between(touchable)
+        if path == "reduced":
+            return reduced_compliance_m_N(self.factor.solver, touchable, basis_size)
+        self.factor.expect(touchable)
+        return surface_compliance_m_N(
+            self.body,
+            touchable,
+            solver=lambda: self.factor.solver,
+            progress=lambda share: report(CONDENSING, share),
         )

@@ -9,7 +9,7 @@ from meshes.base.arrays import Array, Bytes, Flags, Integers, Ints
 from meshes.base.errors import InputError
 from meshes.tooth.layers import caries_softness
 from meshes.voxels.volume import VoxelVolume
-from tissue.fem.fields import FieldSeries, Frame
+from tissue.fem.fields import FieldSeries, Frame, principal_stresses, von_mises
 from tissue.materials.scene_constants import Materials
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.grid import (
@@ -26,7 +26,6 @@ from tissue.models.tooth.recovery import (
     FirstGuess,
     StressRecovery,
     SupportCompliance,
-    stress_invariants,
     support_compliance,
 )
 
@@ -151,12 +150,8 @@ class StressField:
                 # Suggest twice the edge, because a larger cell holds more material.
                 f"use {2000.0 * cell_m:g}",
             )
-        self._guess = FirstGuess(
-            [
-                (s.displacement_m, f)
-                for s, f in zip(self.compliance.solutions, self.compliance.loads_N, strict=True)
-            ]
-        )
+        solved = [solution.displacement_m for solution in self.compliance.solutions]
+        self._guess = FirstGuess(list(zip(solved, self.compliance.loads_N, strict=True)))
         layer = _cell_layers(self.body)
         # the nearest particles may be 0.87 of a voxel's edge from a cell's centre
         self._reach_m = max(REACH_M, tooth.spacing_m)
@@ -244,9 +239,8 @@ class StressField:
         The shapes are (c,) for the von Mises stress and (c, 3) for the principal stresses, with c
         cells.
         """
-        return stress_invariants(
-            np.nan_to_num(self._recovery(displacement_m)), device=self.body.cells.device
-        )
+        stress_Pa = np.nan_to_num(self._recovery(displacement_m))
+        return von_mises(stress_Pa), principal_stresses(stress_Pa)
 
 
 def _particles(tooth: VoxelVolume, places: Ints, constants: Materials) -> ParticleSet:

@@ -1,103 +1,22 @@
-"""Multigrid smoothing on the finest grid, and assembled stiffness rows of the coarser grids.
+"""Multigrid smoothing on the finest grid.
 
 On the finest grid the stiffness is not assembled: products with the stiffness are computed over
-strips of eight cells. The stiffness of the coarser grids is assembled in rows.
+strips of eight cells.
 """
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 import warp as wp
-from scipy.sparse import bsr_matrix
 
-from kernels.grid_transfer import assemble_rows
 from kernels.lane_vectors import from_lanes, node_diagonals, smooth, to_lanes
 from kernels.launcher import SplitLaunch, run_once
 from kernels.mirror import put
 from meshes.base.arrays import Array, Int32s
-from tissue.models.tooth.grid import HexGrid, NodeSupports
+from tissue.models.tooth.grid import NodeSupports
 from tissue.models.tooth.stiffness import CellStiffness
 from tissue.models.tooth.strips import LaneVector, StripProduct
-
-
-class NodeBlocks:
-    """Assembled stiffness K of a grid without supports, in rows of 3 x 3 blocks.
-
-    Parameters
-    ----------
-    grid
-        The grid.
-    cell_nodes, live, stiffness
-        Warp arrays of the cells, see :class:`tissue.models.tooth.stiffness.CellStiffness`. Every
-        call of `update` reads these arrays.
-    device
-        Warp device.
-
-    Attributes
-    ----------
-    row_start, column, block
-        Matrix in block compressed row format: int32, shape (n + 1,); int32, shape (b,); 3 x 3
-        float64 [N/m], shape (b,). In a row, blocks of nodes with lower colours come first, see
-        `HexGrid.node_colour`.
-    diagonal_block
-        Index of each node's diagonal block, int32 (n,).
-    single, inverse
-        Blocks in single precision, and inverses of the diagonal blocks. Both are used for
-        smoothing.
-    """
-
-    def __init__(
-        self, grid: HexGrid, *, cell_nodes: Any, live: Any, stiffness: Any, device: str
-    ) -> None:
-        neighbours = grid.node_neighbours
-        there = neighbours >= 0
-        starts = np.concatenate([[0], np.cumsum(there.sum(axis=1))]).astype(np.int32)
-        # Colour 8, after the eight colours, sorts missing neighbours to the end.
-        colour = np.where(there, grid.node_colour[neighbours], 8)
-        order = np.argsort(colour, axis=1, kind="stable")
-        place = np.empty_like(neighbours)
-        np.put_along_axis(place, order, starts[:-1, None] + np.arange(27, dtype=np.int32), axis=1)
-        place[~there] = -1
-        column = np.empty(int(starts[-1]), np.int32)
-        column[place[there]] = neighbours[there]
-
-        self.device = device
-        self.row_start = put(starts, wp.int32, device)
-        self.column = put(column, wp.int32, device)
-        # Neighbour 13 of 27 is the node itself.
-        self.diagonal_block = put(place[:, 13], wp.int32, device)
-        self.free = put(np.ones((grid.node_count, 3)), wp.vec3d, device)
-        self.block = wp.zeros(int(starts[-1]), wp.mat33d, device)
-        self.single = wp.zeros(int(starts[-1]), wp.mat33f, device)
-        self.inverse = wp.zeros(grid.node_count, wp.mat33f, device)
-        self._gathered = [
-            self.row_start,
-            put(grid.node_cells, wp.int32, device),
-            put(place, wp.int32, device),
-            self.free,
-            cell_nodes,
-            live,
-            stiffness,
-        ]
-
-    def update(self, nodes: Int32s) -> None:
-        """Compute the matrix rows of some nodes again after a change of the cells around them."""
-        if len(nodes) == 0:
-            return
-        outputs = [self.block, self.single, self.inverse]
-        run_once(assemble_rows, len(nodes), [nodes, *self._gathered], outputs)
-
-    def matrix(self) -> bsr_matrix:
-        """Return the assembled matrix [N/m], shape (3 n, 3 n).
-
-        On a CPU the matrix shares its values with this object.
-        """
-        count = len(self.inverse)
-        arrays = (self.block.numpy(), self.column.numpy(), self.row_start.numpy())
-        return bsr_matrix(arrays, shape=(3 * count, 3 * count), copy=False)
-
 
 STEPS = ((0.0, 4.0 / 3.0), (1.0 / 5.0, 12.0 / 5.0))
 """Factors of the last direction and of the residual in each smoothing step.
@@ -155,7 +74,6 @@ class FinestLevel:
         self.live = cells.live_on
         self.stiffness = cells.stiffness
         count = self.grid.node_count
-        strips = cells.strips
         device = cells.device
         self.free = put((~supports.fixed).astype(np.float64), wp.vec3d, device)
         self.diagonal = wp.zeros(count, wp.vec3d, device)
@@ -163,12 +81,12 @@ class FinestLevel:
         self.residual = wp.zeros(count, wp.vec3f, device)
         # Any positive value is allowed here: the first refresh replaces it.
         self._largest = 4.0
-        lanes = [LaneVector(strips.layout, wp.float32, device=device) for _ in range(5)]
+        lanes = [LaneVector(cells.layout, wp.float32, device=device) for _ in range(5)]
         self._inverse, self._force, self._left, self._direction, self._found = lanes
         inverse, *vectors = [each.by_eight for each in lanes]
         self._product = StripProduct(
-            strips.layout,
-            strips.single,
+            cells.layout,
+            cells.single,
             self._direction,
             self._force,
             device=device,
@@ -181,7 +99,7 @@ class FinestLevel:
             # The last step adds the last direction and starts no new one.
             for step in (*STEPS, (0.0, 0.0))
         ]
-        slot = strips.slot_on
+        slot = cells.slot_on
         self._take_load = launch(to_lanes, count, [slot, self.residual], [self._left.single])
         self._give_residual = launch(from_lanes, count, [slot, self._left.single], [self.residual])
         self._take_correction = launch(
@@ -193,17 +111,16 @@ class FinestLevel:
         self._take_force = launch(to_lanes, count, [slot, cells.force], [self._force.single])
         self._give_found = launch(from_lanes, count, [slot, self._found.single], [self.vector])
 
-    def update(self, nodes: Int32s) -> None:
-        """Update the diagonal of the stiffness at some nodes."""
-        if len(nodes) == 0:
-            return
+    def update(self, changed: Int32s) -> None:
+        """Update the diagonal of the stiffness at the nodes of changed cells."""
+        nodes = np.unique(self.grid.cell_nodes[changed])
         inputs = [
             nodes,
             self._cells.node_cells_on,
             self.live,
             self.stiffness,
             self.free,
-            self._cells.strips.slot_on,
+            self._cells.slot_on,
             self._largest,
         ]
         outputs = [self.diagonal, self._inverse.single]
@@ -214,7 +131,7 @@ class FinestLevel:
 
         D is the diagonal of the stiffness K. The stored inverse of D is divided by this eigenvalue.
         """
-        layout = self._cells.strips.layout
+        layout = self._cells.layout
         inverse = self._inverse.single.numpy()
         vector = np.zeros((3, layout.slots), np.float32)
         vector[:, layout.slot] = np.random.default_rng(0).normal(size=(3, self.grid.node_count))
@@ -273,9 +190,10 @@ class FinestLevel:
         If some cells are not in strips (groups of eight cells), the force must be zero before the
         call.
         """
-        if self._cells.others is not None:
+        if self._cells.others:
             self._give_direction()
             self._cells.force.zero_()
-            self._cells.others()
+            for launch in self._cells.others:
+                launch()
             self._take_force()
         self._product()

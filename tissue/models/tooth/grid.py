@@ -58,11 +58,10 @@ class HexGrid:
         """
         low = cell_place.min(axis=0)
         origin = np.asarray(origin_m, np.float64) + edge_m * low
-        shape = cell_place.max(axis=0) - low + 1
-        cells = _unique_places(cell_place - low, shape)
+        cells = _distinct(cell_place - low)
         corners = (cells[:, None, :] + CORNERS).reshape(-1, 3)
-        nodes = _unique_places(corners, shape + 1)
-        cell_nodes = _find_places(nodes, corners, shape + 1).reshape(-1, 8)
+        nodes = _distinct(corners)
+        cell_nodes = _found(_table(nodes), corners).reshape(-1, 8)
         return cls(origin, float(edge_m), cells, nodes, cell_nodes)
 
     @classmethod
@@ -148,17 +147,19 @@ class HexGrid:
 
     def find_cells(self, place: Integers) -> Int32s:
         """Return the cells at integer positions, shape (n, 3), or -1 where there is no cell."""
-        shape, keys = self._cell_keys
-        return _find_keys(keys, place, shape)
+        return _found(self._cell_at, place)
 
     @cached_property
-    def _cell_keys(self) -> tuple[Int32s, Ints]:
-        shape = self.cell_place.max(axis=0) + 1
-        return shape, _keys(self.cell_place, shape)
+    def _cell_at(self) -> Int32s:
+        return _table(self.cell_place)
 
     def find_nodes(self, place: Integers) -> Int32s:
         """Return the nodes at integer positions, shape (n, 3), or -1 where there is no node."""
-        return _find_places(self.node_place, place, self.node_place.max(axis=0) + 1)
+        return _found(self._node_at, place)
+
+    @cached_property
+    def _node_at(self) -> Int32s:
+        return _table(self.node_place)
 
     def locate(self, position_m: Array) -> tuple[Int32s, Array]:
         """Return the cell that holds each point, and the position of the point in that cell.
@@ -196,25 +197,24 @@ def shape_values(place: Array) -> Array:
     return factors.prod(axis=2)
 
 
-def _keys(place: Integers, shape: Integers) -> Ints:
-    return np.ravel_multi_index(tuple(place.T), tuple(shape), mode="clip")
+def _distinct(place: Integers) -> Int32s:
+    """Return the distinct integer positions in lexicographic order, shape (k, 3)."""
+    there = np.zeros(place.max(axis=0) + 1, np.bool_)
+    there[tuple(place.T)] = True
+    # C order: sums over nodes then have the rounding that recorded traces have.
+    return np.argwhere(there).astype(np.int32, order="C")
 
 
-def _unique_places(place: Integers, shape: Integers) -> Int32s:
-    keys = np.unique(_keys(place, shape))
-    return np.stack(np.unravel_index(keys, tuple(shape)), axis=1).astype(np.int32)
+def _table(place: Int32s) -> Int32s:
+    """Return the row in `place` of each integer position, with a border of -1 on all sides."""
+    table = np.full(place.max(axis=0) + 3, -1, np.int32)
+    table[tuple(place.T + 1)] = np.arange(len(place))
+    return table
 
 
-def _find_places(known: Int32s, place: Integers, shape: Integers) -> Int32s:
-    """Return the row of each position in the sorted positions ``known``, or -1 if not found."""
-    return _find_keys(_keys(known, shape), place, shape)
-
-
-def _find_keys(keys: Ints, place: Integers, shape: Integers) -> Int32s:
-    inside = ((place >= 0) & (place < shape)).all(axis=1)
-    wanted = _keys(place, shape)
-    row = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    return np.where(inside & (keys[row] == wanted), row, -1).astype(np.int32)
+def _found(table: Int32s, place: Integers) -> Int32s:
+    """Return the row of each integer position, shape (n, 3), or -1 if the table has no row."""
+    return table[tuple(np.clip(place + 1, 0, np.array(table.shape) - 1).T)]
 
 
 FULL_STEPS = 65535

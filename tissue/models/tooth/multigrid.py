@@ -8,13 +8,14 @@ eight colours of nodes. After the correction by the next coarser grid, the colou
 reverse order. (Trottenberg, Oosterlee, Schueller 2001, Multigrid, ch. 2.)
 """
 
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 import warp as wp
+from scipy.sparse import bsr_matrix
 
 from kernels.grid_transfer import (
+    assemble_rows,
     coarse_stiffness,
     first_residuals,
     interpolate,
@@ -25,80 +26,9 @@ from kernels.hexahedra import BLOCKS
 from kernels.launcher import SplitLaunch, run_once
 from kernels.mirror import put
 from meshes.base.arrays import Array, Int32s
-from tissue.models.tooth.finest_level import FinestLevel, NodeBlocks
+from tissue.models.tooth.finest_level import FinestLevel
 from tissue.models.tooth.grid import CORNERS, NEIGHBOURS, HexGrid, NodeSupports
 from tissue.models.tooth.stiffness import CellStiffness
-
-
-class GridTransfer:
-    """Recorded kernel launches for the transfer between a fine and a coarse grid.
-
-    Parameters
-    ----------
-    fine, coarse
-        Fine and coarse grid level.
-    parent
-        Coarse cell of each fine cell, int32, shape (c,).
-
-    Attributes
-    ----------
-    down
-        Kernel launch that restricts the fine residual to the coarse load.
-    up
-        Kernel launch that adds the coarse displacement to the fine displacement.
-    """
-
-    def __init__(
-        self, fine: "FinestLevel | GridLevel", coarse: "GridLevel", parent: Int32s
-    ) -> None:
-        grid = fine.grid
-        coarse_grid = coarse.grid
-
-        launch = partial(SplitLaunch, cores=fine.cores)
-        children = np.full((coarse_grid.cell_count, 8), -1, dtype=np.int32)
-        children[parent, (grid.cell_place & 1) @ (4, 2, 1)] = np.arange(
-            grid.cell_count, dtype=np.int32
-        )
-        self._parent = parent
-        self._inputs = [
-            fine.cell_nodes,
-            fine.live,
-            fine.stiffness,
-            fine.free,
-            put(children, wp.int32, fine.device),
-        ]
-        self._outputs = [coarse.stiffness, coarse.live]
-        place = grid.node_place
-        fine_of = np.stack(
-            [grid.find_nodes(2 * coarse_grid.node_place + step) for step in NEIGHBOURS], axis=1
-        )
-        odd = place & 1
-        coarse_of = np.full((grid.node_count, 8), -1, dtype=np.int32)
-        for corner, step in enumerate(CORNERS):
-            wanted = (step <= odd).all(axis=1)
-            coarse_of[wanted, corner] = coarse_grid.find_nodes((place[wanted] >> 1) + step)
-        free = put(fine.free.numpy(), wp.vec3f, fine.device)
-        inputs = [fine_of, free, fine.residual]
-        self.down = launch(restrict, coarse_grid.node_count, inputs, [coarse.load])
-        inputs = [
-            coarse_of,
-            # The value at a node in the middle of a coarse edge, face or cell is the mean of 2, 4
-            # or 8 coarse nodes.
-            0.5 ** odd.sum(axis=1),
-            free,
-            coarse.vector,
-        ]
-        self.up = launch(interpolate, grid.node_count, inputs, [fine.vector])
-
-    def project(self, changed: Int32s) -> Int32s:
-        """Update the stiffness of the coarse cells that contain changed cells.
-
-        Return the indices of these coarse cells.
-        """
-        cells = np.unique(self._parent[changed])
-        run_once(coarse_stiffness, len(cells), [*self._inputs, cells], self._outputs)
-        return cells
-
 
 COARSEST_NODES = 300
 """Largest number of nodes of a grid that is solved directly.
@@ -120,53 +50,134 @@ Eigenvalues below the threshold belong to motions that move no node of the finer
 
 
 class GridLevel:
-    """One coarser grid, with its stiffness, vectors and Gauss-Seidel smoother.
+    """Grid with twice the cell edge of the next finer grid, and its Gauss-Seidel smoother.
+
+    The stiffness is assembled in rows of 3 x 3 blocks. In a row, blocks of nodes with lower colours
+    come first, see `HexGrid.node_colour`.
+
+    Parameters
+    ----------
+    fine
+        Next finer level.
 
     Attributes
     ----------
     load, vector, residual
         Warp arrays of vec3f, shape (n,): load [N], computed displacement [m] and residual [N].
+    restrict, interpolate
+        Launches that write the residual of the finer level to `load`, and that add `vector` to the
+        displacement of the finer level.
     """
 
-    def __init__(self, grid: HexGrid, *, device: str, cores: int | None) -> None:
-        self.grid = grid
-        self.device = device
-        self.cores = cores
+    def __init__(self, fine: "FinestLevel | GridLevel") -> None:
+        grid, parent = fine.grid.coarse()
+        device = fine.device
+        count = grid.node_count
+        self.grid: HexGrid = grid
+        self.device: str = device
+        self.cores: int | None = fine.cores
+        self._parent = parent
         self.cell_nodes = put(grid.cell_nodes, wp.int32, device)
         self.live = wp.zeros(grid.cell_count, wp.uint8, device)
         self.stiffness = wp.zeros((grid.cell_count, BLOCKS), wp.mat33d, device)
-        self.blocks = NodeBlocks(
-            grid,
-            cell_nodes=self.cell_nodes,
-            live=self.live,
-            stiffness=self.stiffness,
-            device=device,
+        self.free = put(np.ones((count, 3)), wp.vec3d, device)
+        self.load = wp.zeros(count, wp.vec3f, device)
+        self.vector = wp.zeros(count, wp.vec3f, device)
+        self.residual = wp.zeros(count, wp.vec3f, device)
+        self._connect(fine)
+
+        neighbours = grid.node_neighbours
+        there = neighbours >= 0
+        starts = np.concatenate([[0], np.cumsum(there.sum(axis=1))]).astype(np.int32)
+        # Colour 8, after the eight colours, sorts missing neighbours to the end.
+        colour = np.where(there, grid.node_colour[neighbours], 8)
+        order = np.argsort(colour, axis=1, kind="stable")
+        place = np.empty_like(neighbours)
+        np.put_along_axis(place, order, starts[:-1, None] + np.arange(27, dtype=np.int32), axis=1)
+        place[~there] = -1
+        column = np.empty(int(starts[-1]), np.int32)
+        column[place[there]] = neighbours[there]
+        self._row_start = put(starts, wp.int32, device)
+        self._column = put(column, wp.int32, device)
+        self._block = wp.zeros(len(column), wp.mat33d, device)
+        # Smoothing uses the blocks in single precision and the inverses of the diagonal blocks.
+        single = wp.zeros(len(column), wp.mat33f, device)
+        inverse = wp.zeros(count, wp.mat33f, device)
+        self._assembled = [self._block, single, inverse]
+        self._gathered = [
+            self._row_start,
+            put(grid.node_cells, wp.int32, device),
+            put(place, wp.int32, device),
+            self.free,
+            self.cell_nodes,
+            self.live,
+            self.stiffness,
+        ]
+        launch = partial(SplitLaunch, cores=self.cores if count > SPLIT_NODES else 1)
+        self._sweeps = []
+        for each in range(8):
+            nodes = np.flatnonzero(grid.node_colour == each)
+            if len(nodes):
+                rows = [nodes, self._row_start, self._column, single, inverse, self.load]
+                self._sweeps.append(launch(sweep_colour, len(nodes), rows, [self.vector]))
+        # Neighbour 13 of 27 is the node itself.
+        rows = [self._row_start, place[:, 13], self._column, single, self.vector]
+        self._leave_residual = launch(first_residuals, count, rows, [self.residual])
+
+    def _connect(self, fine: "FinestLevel | GridLevel") -> None:
+        """Record the transfer of stiffness, loads and displacements between the two levels."""
+        grid = fine.grid
+        place = grid.node_place
+        children = np.full((self.grid.cell_count, 8), -1, dtype=np.int32)
+        corner_of = (grid.cell_place & 1) @ (4, 2, 1)
+        children[self._parent, corner_of] = np.arange(grid.cell_count, dtype=np.int32)
+        self._projected = [
+            fine.cell_nodes,
+            fine.live,
+            fine.stiffness,
+            fine.free,
+            put(children, wp.int32, fine.device),
+        ]
+        around = [grid.find_nodes(2 * self.grid.node_place + step) for step in NEIGHBOURS]
+        odd = place & 1
+        coarse_of = np.full((grid.node_count, 8), -1, dtype=np.int32)
+        for corner, step in enumerate(CORNERS):
+            wanted = (step <= odd).all(axis=1)
+            coarse_of[wanted, corner] = self.grid.find_nodes((place[wanted] >> 1) + step)
+        # The value at a node in the middle of a coarse edge, face or cell is the mean of 2, 4 or 8
+        # coarse nodes.
+        share = 0.5 ** odd.sum(axis=1)
+        free = put(fine.free.numpy(), wp.vec3f, fine.device)
+        launch = partial(SplitLaunch, cores=fine.cores)
+        self.restrict = launch(
+            restrict,
+            self.grid.node_count,
+            [np.stack(around, axis=1), free, fine.residual],
+            [self.load],
         )
-        self.free = self.blocks.free
-        self.load = wp.zeros(grid.node_count, wp.vec3f, device)
-        self.vector = wp.zeros(grid.node_count, wp.vec3f, device)
-        self.residual = wp.zeros(grid.node_count, wp.vec3f, device)
-        split = cores if grid.node_count > SPLIT_NODES else 1
-        launch = partial(SplitLaunch, cores=split)
-        self._sweeps = self._recorded(launch)
-        blocks = self.blocks
-        rows = [blocks.row_start, blocks.diagonal_block, blocks.column, blocks.single]
-        self._leave_residual = launch(
-            first_residuals, grid.node_count, [*rows, self.vector], [self.residual]
+        self.interpolate = launch(
+            interpolate, grid.node_count, [coarse_of, share, free, self.vector], [fine.vector]
         )
 
-    def _recorded(self, launch: Callable[..., SplitLaunch]) -> list[SplitLaunch]:
-        """Return the launches of a Gauss-Seidel sweep, one for each colour."""
-        blocks = self.blocks
-        sweeps = []
-        for colour in range(8):
-            nodes = np.flatnonzero(self.grid.node_colour == colour)
-            count = len(nodes)
-            if count == 0:
-                continue
-            rows = [nodes, blocks.row_start, blocks.column, blocks.single, blocks.inverse]
-            sweeps.append(launch(sweep_colour, count, [*rows, self.load], [self.vector]))
-        return sweeps
+    def update(self, changed: Int32s) -> Int32s:
+        """Update the stiffness after a change of some cells of the finer level.
+
+        Return the indices of the cells of this level that contain these cells.
+        """
+        cells = np.unique(self._parent[changed])
+        inputs = [*self._projected, cells]
+        run_once(coarse_stiffness, len(cells), inputs, [self.stiffness, self.live])
+        nodes = np.unique(self.grid.cell_nodes[cells])
+        run_once(assemble_rows, len(nodes), [nodes, *self._gathered], self._assembled)
+        return cells
+
+    def matrix(self) -> bsr_matrix:
+        """Return the assembled matrix [N/m], shape (3 n, 3 n).
+
+        On a CPU the matrix shares its values with this object.
+        """
+        arrays = (self._block.numpy(), self._column.numpy(), self._row_start.numpy())
+        return bsr_matrix(arrays, shape=(3 * self.grid.node_count,) * 2, copy=False)
 
     def relax_first(self) -> None:
         """Run a Gauss-Seidel sweep that starts from zero, and compute the residual."""
@@ -198,15 +209,9 @@ class GridHierarchy:
 
     def __init__(self, cells: CellStiffness, supports: NodeSupports) -> None:
         self.finest = FinestLevel(cells, supports)
-        self.coarser: list[GridLevel] = []
-        self._transfers: list[GridTransfer] = []
-        level: FinestLevel | GridLevel = self.finest
-        while level is self.finest or level.grid.node_count > COARSEST_NODES:
-            grid, parent = level.grid.coarse()
-            coarse = GridLevel(grid, device=cells.device, cores=cells.cores)
-            self._transfers.append(GridTransfer(level, coarse, parent))
-            self.coarser.append(coarse)
-            level = coarse
+        self.coarser = [GridLevel(self.finest)]
+        while self.coarser[-1].grid.node_count > COARSEST_NODES:
+            self.coarser.append(GridLevel(self.coarser[-1]))
         self._coarsest_inverse = np.zeros((0, 0))
         self._stale = True
 
@@ -215,10 +220,9 @@ class GridHierarchy:
 
         Call `refresh` to update the factorisation of the coarsest grid.
         """
-        self.finest.update(np.unique(self.finest.grid.cell_nodes[changed]))
-        for level, transfer in zip(self.coarser, self._transfers, strict=True):
-            changed = transfer.project(changed)
-            level.blocks.update(np.unique(level.grid.cell_nodes[changed]))
+        self.finest.update(changed)
+        for level in self.coarser:
+            changed = level.update(changed)
         self._stale = True
 
     def refresh(self) -> None:
@@ -229,7 +233,7 @@ class GridHierarchy:
         if not self._stale:
             return
         self.finest.bound_eigenvalues()
-        matrix = self.coarser[-1].blocks.matrix().toarray()
+        matrix = self.coarser[-1].matrix().toarray()
         # Rounding makes the matrix unsymmetric, and `eigh` reads only one triangle.
         matrix = 0.5 * (matrix + matrix.T)
         size = np.diag(matrix)
@@ -249,14 +253,14 @@ class GridHierarchy:
 
     def _correct(self) -> None:
         """Add the correction by the coarser grids to the vector of the finest grid."""
-        self._transfers[0].down()
-        for level, transfer in zip(self.coarser, self._transfers[1:], strict=False):
+        *smoothed, last = self.coarser
+        for level in smoothed:
+            level.restrict()
             level.relax_first()
-            transfer.down()
-        last = self.coarser[-1]
+        last.restrict()
         solved = self._coarsest_inverse @ last.load.numpy().astype(np.float64).ravel()
         last.vector.assign(solved.reshape(-1, 3).astype(np.float32))
-        for level, transfer in zip(self.coarser[-2::-1], self._transfers[:0:-1], strict=True):
-            transfer.up()
+        last.interpolate()
+        for level in reversed(smoothed):
             level.relax_last()
-        self._transfers[0].up()
+            level.interpolate()

@@ -4,6 +4,7 @@ Stress is averaged over particles within a fixed distance. When cells are refine
 converges even where the stress at a point does not converge.
 """
 
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,10 +13,10 @@ import warp as wp
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from kernels.launcher import SplitLaunch, run_once
-from kernels.particle_stiffness import invariants, point_stress
+from kernels.launcher import SplitLaunch
+from kernels.particle_stiffness import point_stress
 from meshes.base.arrays import Array, Integers
-from tissue.fem.conjugate_gradients import Solution, dot
+from tissue.fem.conjugate_gradients import Solution
 from tissue.fem.solvers.held_body import rigid_modes
 from tissue.models.tooth.body import ParticleBody
 from tissue.models.tooth.grid import ParticleSet, ball_weight
@@ -29,26 +30,17 @@ class StressPoints:
     ----------
     cells
         The cells of the body.
-    row
-        Row of each point in the arrays `cell`, `place` and `lame_Pa`, shape (n,).
     cell, place, lame_Pa
-        NumPy or Warp arrays with one row per material sample: index of its cell, position in this
-        cell (0 to 1 along each edge), and Lame constants [Pa], shape (rows, 2).
+        NumPy or Warp arrays with one row per point: index of its cell, position in this cell (0 to
+        1 along each edge), and Lame constants [Pa], shape (n, 2).
     """
 
-    def __init__(
-        self, cells: CellStiffness, row: Integers, cell: Any, place: Any, lame_Pa: Any
-    ) -> None:
+    def __init__(self, cells: CellStiffness, cell: Any, place: Any, lame_Pa: Any) -> None:
         self._cells = cells
-        self._stress = wp.empty((len(row), 6), wp.float64, cells.device)
+        self._stress = wp.empty((len(cell), 6), wp.float64, cells.device)
         at_corners = [cells.cell_nodes_on, cells.displacement, cells.grid.edge_m]
-        self._launch = SplitLaunch(
-            point_stress,
-            len(row),
-            [row, cell, place, lame_Pa, *at_corners],
-            [self._stress],
-            cores=1,
-        )
+        inputs = [cell, place, lame_Pa, *at_corners]
+        self._launch = SplitLaunch(point_stress, len(cell), inputs, [self._stress], cores=1)
 
     def __call__(self, displacement_m: Array) -> Array:
         """Return the stress at the n points [Pa], shape (n, 6), for nodal displacements [m].
@@ -58,19 +50,6 @@ class StressPoints:
         self._cells.displacement.assign(displacement_m)
         self._launch()
         return self._stress.numpy()
-
-
-def stress_invariants(stress_Pa: Array, *, device: str = "cpu") -> tuple[Array, Array]:
-    """Return the von Mises stress and the principal stresses, largest first.
-
-    The stress has shape (n, 6), with the components xx, yy, zz, yz, xz, xy. The results have shapes
-    (n,) and (n, 3).
-    """
-    count = len(stress_Pa)
-    von_mises = wp.empty(count, wp.float64, device)
-    principal = wp.empty(count, wp.vec3d, device)
-    run_once(invariants, count, [stress_Pa], [von_mises, principal])
-    return von_mises.numpy(), principal.numpy()
 
 
 REACH_M = 0.6e-3
@@ -139,7 +118,6 @@ class StressRecovery:
         own_layer = sorted_layer[first]
         self._points = StressPoints(
             cells,
-            np.arange(len(at)),
             self._cell,
             mean(cells.place.numpy()),
             mean(cells.lame.numpy()),
@@ -198,16 +176,12 @@ class SupportCompliance:
         matrix must not be used.
     loads_N
         Nodal forces of each solution [N], shape (n, 3).
-    asymmetry
-        Largest asymmetry of the computed matrix, before it was made symmetric. Asymmetry is the
-        difference of two mirrored entries divided by the geometric mean of their diagonal entries.
     """
 
     matrix: Array
     reference_m: Array
     solutions: tuple[Solution, ...]
     loads_N: tuple[Array, ...]
-    asymmetry: float
 
     @property
     def converged(self) -> bool:
@@ -254,12 +228,7 @@ def support_compliance(
         matrix[:, column] = np.einsum("nik,ni->k", spread, found.displacement_m)
         solutions.append(found)
     body.displacement_m = kept
-    # The entries have different units, so each entry is compared with the diagonal.
-    size = np.sqrt(np.abs(np.outer(np.diag(matrix), np.diag(matrix))))
-    asymmetry = float((np.abs(matrix - matrix.T) / np.where(size > 0.0, size, 1.0)).max())
-    return SupportCompliance(
-        0.5 * (matrix + matrix.T), reference_m, tuple(solutions), tuple(loads), asymmetry
-    )
+    return SupportCompliance(0.5 * (matrix + matrix.T), reference_m, tuple(solutions), tuple(loads))
 
 
 NULL_CUT = 1e-6
@@ -291,54 +260,28 @@ class FirstGuess:
     """
 
     def __init__(self, kept: list[tuple[Array, Array]], *, recent: int = 2) -> None:
-        self._solutions = [moved.ravel() for moved, _ in kept]
-        self._loads = [load.ravel() for _, load in kept]
-        self._first = len(kept)
-        self._most = len(kept) + recent
-        self._energy = np.array(
-            [[dot(u, f) for f in self._loads] for u in self._solutions]
-        ).reshape(len(kept), len(kept))
+        self._kept = kept
+        self._recent: deque[tuple[Array, Array]] = deque(maxlen=recent)
 
     def add(self, displacement_m: Array, load_N: Array) -> None:
         """Store a solution [m] and its load [N], each of shape (n, 3).
 
         The oldest solution beyond the number `recent` is discarded.
         """
-        if not load_N.any():
-            return
-        if len(self._solutions) == self._most:
-            del self._solutions[self._first], self._loads[self._first]
-            self._energy = np.delete(
-                np.delete(self._energy, self._first, axis=0), self._first, axis=1
-            )
-        moved = displacement_m.ravel().copy()
-        load = load_N.ravel().copy()
-        self._solutions.append(moved)
-        self._loads.append(load)
-        column = np.array(
-            [
-                # The two products are equal for exact solutions. Their mean keeps the matrix
-                # symmetric.
-                0.5 * (dot(u, load) + dot(moved, f))
-                for u, f in zip(self._solutions, self._loads, strict=True)
-            ]
-        )
-        self._energy = np.block(
-            [[self._energy, column[:-1, None]], [column[None, :-1], column[-1:, None]]]
-        )
+        if load_N.any():
+            self._recent.append((displacement_m.copy(), load_N.copy()))
 
     def __call__(self, load_N: Array) -> Array:
         """Return a guess of the displacement [m] for a load [N], each of shape (n, 3)."""
-        guess = np.zeros(load_N.size)
-        load = load_N.ravel()
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(self._energy), np.finfo(float).tiny))
-        values, vectors = np.linalg.eigh(
-            scale[:, None] * 0.5 * (self._energy + self._energy.T) * scale
-        )
-        if values.size and values[-1] > 0.0:
-            modes = (scale[:, None] * vectors)[:, values > NULL_CUT * values[-1]]
-            work = np.array([dot(u, load) for u in self._solutions])
-            share = modes @ ((modes.T @ work) / values[values > NULL_CUT * values[-1]])
-            for moved, each in zip(self._solutions, share, strict=True):
-                guess += each * moved
-        return guess.reshape(load_N.shape)
+        known = np.array([*self._kept, *self._recent]).reshape(-1, 2, load_N.size)
+        solutions = known[:, 0]
+        energy = np.einsum("ik,jk->ij", solutions, known[:, 1])
+        # The matrix is symmetric for exact solutions.
+        energy = 0.5 * (energy + energy.T)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(energy), np.finfo(float).tiny))
+        values, vectors = np.linalg.eigh(scale[:, None] * energy * scale)
+        used = values > NULL_CUT * values[-1]
+        modes = (scale[:, None] * vectors)[:, used]
+        work = np.einsum("ik,k->i", solutions, load_N.ravel())
+        share = modes @ ((modes.T @ work) / values[used])
+        return np.einsum("i,ik->k", share, solutions).reshape(load_N.shape)

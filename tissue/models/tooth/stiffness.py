@@ -1,13 +1,16 @@
 """Stiffness of the cells of a grid, summed over particles that may lose volume."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from kernels.hexahedra import BLOCKS
-from kernels.launcher import run_once
+from kernels.cell_strips import LANES, WEIGHTS
+from kernels.hexahedra import BLOCKS, cell_products, gather_cells
+from kernels.lane_vectors import cube_weights, from_lanes, to_lanes
+from kernels.launcher import SplitLaunch, run_once
 from kernels.mirror import put
 from kernels.particle_stiffness import particle_stiffness
 from meshes.base.arrays import Array, Bytes, Flags, Int32s, Integers
@@ -19,15 +22,19 @@ from tissue.models.tooth.grid import (
     ParticleSet,
     PointSprings,
 )
-from tissue.models.tooth.strips import CellStrips, PackedProduct
+from tissue.models.tooth.strips import LaneVector, StripLayout, StripProduct
 
-CENTRE = np.full(3, 0.5)
+AT_CUBE = 1e-6
+"""Largest distance of a particle from its regular position that counts as rounding [cell edges]."""
 
 
 class CellStiffness:
-    """Stiffness of every cell in packed form, summed over the particles of the cell.
+    """Stiffness of every cell, summed over the particles of the cell.
 
-    The sum is computed by :mod:`kernels.particle_stiffness`.
+    The sum is computed by :mod:`kernels.particle_stiffness`. A cell is regular if each particle
+    lies at the centre of one of eight equal cubes of the cell. Products with regular cells are
+    computed over strips (groups of eight cells), from weights of the cubes. Products with other
+    cells, and with springs, are computed from the packed stiffness of single cells.
 
     Parameters
     ----------
@@ -52,13 +59,16 @@ class CellStiffness:
         Position of the first particle of each cell in the sorted order, int32, shape (c + 1,).
     particle_cell
         Cell of each particle in the sorted order, int32, shape (p,).
-    strips
-        Product of cells in strips (groups of eight cells), without springs. Cells with irregular
-        particles are not in strips.
+    layout, regular
+        Memory layout of the strips, and mask of the regular cells, shape (c,).
+    weight, single
+        Weights of the regular cells in double and in single precision, Warp arrays, shape (strips,
+        WEIGHTS, LANES).
+    displacement, force
+        Warp arrays of vec3d, shape (n,): factor [m] and result [N] of a product.
     others
-        Product of ``displacement`` with the stiffness of the cells that are not in strips,
-        including the springs of these cells. None if all cells are in strips. A call adds the
-        product to ``force``. ``displacement`` and ``force`` are Warp arrays of vec3d, shape (n,).
+        Launches that add the product of the other cells and of their springs to `force`. The list
+        is empty if all cells are regular.
     """
 
     def __init__(
@@ -94,7 +104,7 @@ class CellStiffness:
         self.stiffness = wp.zeros((grid.cell_count, BLOCKS), wp.mat33d, device)
         self.fill_on = wp.zeros(grid.cell_count, wp.float64, device)
         self.live_on = wp.full(grid.cell_count, 1, dtype=wp.uint8, device=device)
-        self._inner = put(_packed(_inner_stiffness(grid.edge_m)), wp.mat33d, device)
+        self._inner = put(_inner_stiffness(grid.edge_m), wp.mat33d, device)
         self._strength = float(inner_strength)
         sprung, blocks = springs.by_cell(grid)
         row = np.full(grid.cell_count, -1)
@@ -102,36 +112,58 @@ class CellStiffness:
         self._springs = [put(row, wp.int32, device), put(blocks, wp.mat33d, device)]
         self.displacement = wp.zeros(grid.node_count, wp.vec3d, device)
         self.force = wp.zeros(grid.node_count, wp.vec3d, device)
-        self.strips = CellStrips(
-            grid,
-            place[self.order],
-            self.particle_cell,
-            vector=self.displacement,
-            force=self.force,
-            cores=cores,
-        )
-        regular = self.strips.regular
-        others = np.flatnonzero(~regular)
-        of_springs = regular[sprung]
 
-        def packed(cells: Integers, rows: Integers, blocks: Any) -> PackedProduct | None:
-            """Return the product of some cells with the displacement; None without cells."""
-            if len(cells) == 0:
-                return None
-            return PackedProduct(
-                grid,
-                cells,
-                rows,
-                blocks,
-                live=self.live_on,
-                vector=self.displacement,
-                force=self.force,
-                cores=cores,
-            )
-
-        self.others = packed(others, others, self.stiffness)
-        self._sprung = packed(sprung[of_springs], np.flatnonzero(of_springs), self._springs[1])
+        # The cubes have half the cell's edge, so their centres lie at 1/4 and 3/4.
+        off = (np.abs(np.abs(place - 0.5) - 0.25) > AT_CUBE).any(axis=1)
+        self.regular = np.ones(grid.cell_count, np.bool_)
+        self.regular[cell[off]] = False
+        self.layout = StripLayout(grid)
+        self.slot_on = put(self.layout.slot, wp.int32, device)
+        shape = (len(self.layout.base), WEIGHTS, LANES)
+        self.weight = wp.zeros(shape, wp.float64, device)
+        self.single = wp.zeros(shape, wp.float32, device)
+        regular = put(self.regular.astype(np.uint8), wp.uint8, device)
+        self._strips = [regular, put(self.layout.strip, wp.vec2i, device)]
+        moved = LaneVector(self.layout, wp.float64, device=device)
+        lanes = LaneVector(self.layout, wp.float64, device=device)
+        count = grid.node_count
+        taken = [self.slot_on, self.displacement]
+        given = [self.slot_on, lanes.single]
+        others = np.flatnonzero(~self.regular)
+        of_springs = self.regular[sprung]
+        self.others = self._packed_product(others, others, self.stiffness)
+        self._product: list[Callable[[], object]] = [
+            SplitLaunch(to_lanes, count, taken, [moved.single], cores=cores),
+            lanes.single.zero_,
+            StripProduct(self.layout, self.weight, moved, lanes, device=device, cores=cores),
+            SplitLaunch(from_lanes, count, given, [self.force], cores=cores),
+            *self.others,
+            *self._packed_product(sprung[of_springs], np.flatnonzero(of_springs), self._springs[1]),
+        ]
         self.update(np.arange(grid.cell_count, dtype=np.int32))
+
+    def _packed_product(self, cells: Integers, rows: Integers, stiffness: Any) -> list[SplitLaunch]:
+        """Return launches that add the product of some cells to `force`.
+
+        Parameters
+        ----------
+        cells, rows
+            Cells of the product and the row of each cell in ``stiffness``, each of shape (k,).
+        stiffness
+            Warp array of packed stiffness [N/m], as in :mod:`kernels.hexahedra`.
+        """
+        if len(cells) == 0:
+            return []
+        place = np.full(self.grid.cell_count + 1, -1)
+        place[cells] = np.arange(len(cells))
+        nodes = np.unique(self.grid.cell_nodes[cells])
+        corner_force = wp.zeros((len(cells), 8), wp.vec3d, self.device)
+        factors = [cells, rows, self.cell_nodes_on, self.live_on, stiffness, self.displacement]
+        around = [nodes, place[self.grid.node_cells[nodes]], corner_force]
+        return [
+            SplitLaunch(cell_products, len(cells), factors, [corner_force], cores=self.cores),
+            SplitLaunch(gather_cells, len(nodes), around, [self.force], cores=self.cores),
+        ]
 
     @property
     def remaining(self) -> NDArray[np.uint16]:
@@ -171,18 +203,15 @@ class CellStiffness:
         size = [self.grid.edge_m, self._strength]
         inputs = [*self._particles, cells, *size, self._inner, *self._springs]
         run_once(particle_stiffness, len(cells), inputs, [self.stiffness, self.fill_on])
-
         self._weigh(cells)
 
     def _weigh(self, cells: Int32s) -> None:
-        if len(cells):
-            self.strips.update(
-                self._particles,
-                self.live_on,
-                cells,
-                edge_m=self.grid.edge_m,
-                strength=self._strength,
-            )
+        """Update the weights of some cells in their strips."""
+        if len(cells) == 0:
+            return
+        size = [self.grid.edge_m, self._strength]
+        inputs = [*self._particles, self.live_on, *self._strips, cells, *size]
+        run_once(cube_weights, len(cells), inputs, [self.weight, self.single])
 
     def product(self, displacement_m: Array) -> Array:
         """Return the nodal forces [N] for nodal displacements [m], without an assembled matrix.
@@ -190,10 +219,8 @@ class CellStiffness:
         Forces and displacements have shape (n, 3).
         """
         self.displacement.assign(displacement_m)
-        self.strips.product()
-        for each in (self.others, self._sprung):
-            if each is not None:
-                each()
+        for step in self._product:
+            step()
         return np.array(self.force.numpy())
 
     def cell_matrices(self) -> Array:
@@ -251,19 +278,15 @@ def strain_matrix(place: Array, edge_m: float) -> Array:
 
 
 def _inner_stiffness(edge_m: float) -> Array:
-    """Return the stiffness of a full cell minus the stiffness of its centre point, shape (24, 24).
+    """Return the stiffness of a full cell minus the stiffness of its centre point, in packed form.
 
-    The Lame constants are set to 1.
+    The Lame constants are set to 1. The shape is (36, 3, 3).
     """
     gauss = 0.5 + (CORNERS - 0.5) / np.sqrt(3.0)
     volume = edge_m**3
     full = full_cell_stiffness(edge_m, gauss, np.full(8, volume / 8.0), first_Pa=1.0, shear_Pa=1.0)
     centre = full_cell_stiffness(
-        edge_m, CENTRE[None], np.array([volume]), first_Pa=1.0, shear_Pa=1.0
+        edge_m, np.full((1, 3), 0.5), np.array([volume]), first_Pa=1.0, shear_Pa=1.0
     )
-    return full - centre
-
-
-def _packed(matrix: Array) -> Array:
-    blocks = matrix.reshape(8, 3, 8, 3)
+    blocks = (full - centre).reshape(8, 3, 8, 3)
     return np.stack([blocks[a, :, b, :] for a, b in CORNER_PAIRS])

@@ -1,83 +1,15 @@
-"""Products of the stiffness of a grid's cells with a vector.
-
-The products are computed for strips of eight cells along z, or for single cells with packed
-stiffness.
-"""
+"""Memory layout of cells and nodes for SIMD kernels, and products over strips of eight cells."""
 
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from kernels.cell_strips import LANES, WEIGHTS, lanes_of, strip_products
-from kernels.hexahedra import cell_products, gather_cells
-from kernels.lane_vectors import cube_weights, from_lanes, to_lanes
-from kernels.launcher import SplitLaunch, run_once
+from kernels.cell_strips import LANES, lanes_of, strip_products
+from kernels.launcher import SplitLaunch
 from kernels.mirror import put
-from meshes.base.arrays import Array, Int32s, Integers, Ints
+from meshes.base.arrays import Int32s, Ints
 from tissue.models.tooth.grid import HexGrid
-
-
-class PackedProduct:
-    """Recorded kernel launch: product of the stiffness of some cells and the nodal displacements.
-
-    Parameters
-    ----------
-    grid
-        The grid.
-    cells, rows
-        Cells of the product and the row of each cell in ``stiffness``, each of shape (k,).
-    stiffness
-        Warp array of packed stiffness [N/m], as in :mod:`kernels.hexahedra`. Every call reads this
-        array.
-    live
-        Warp array, shape (c,), with 0 for each cell that carries no load.
-    vector, force
-        Warp arrays of vec3d, shape (n,): displacement of the nodes [m], and the force [N] to which
-        the product is added.
-    cores
-        Number of processor cores that share kernel launches.
-    """
-
-    def __init__(
-        self,
-        grid: HexGrid,
-        cells: Integers,
-        rows: Integers,
-        stiffness: Any,
-        *,
-        live: Any,
-        vector: Any,
-        force: Any,
-        cores: int | None,
-    ) -> None:
-        place = np.full(grid.cell_count + 1, -1)
-        place[cells] = np.arange(len(cells))
-        nodes = np.unique(grid.cell_nodes[cells])
-        corner_force = wp.zeros((len(cells), 8), wp.vec3d, vector.device)
-        self._cells = SplitLaunch(
-            cell_products,
-            len(cells),
-            [cells, rows, grid.cell_nodes, live, stiffness, vector],
-            [corner_force],
-            cores=cores,
-        )
-        self._nodes = SplitLaunch(
-            gather_cells,
-            len(nodes),
-            [nodes, place[grid.node_cells[nodes]], corner_force],
-            [force],
-            cores=cores,
-        )
-
-    def __call__(self) -> None:
-        """Compute the product and add it to ``force``."""
-        self._cells()
-        self._nodes()
-
-
-AT_CUBE = 1e-6
-"""Largest distance of a particle from its regular position that counts as rounding [cell edges]."""
 
 
 class StripLayout:
@@ -214,81 +146,6 @@ class StripProduct:
         """Compute the product and add it to ``force``."""
         for launch in self._launches:
             launch()
-
-
-class CellStrips:
-    """Stiffness of the cells of a body as weights in strips of eight cells.
-
-    The weights are stored in double precision, and again in single precision for smoothing. A cell
-    is divided into eight cubes. Cells whose particles do not lie at the centres of these cubes have
-    no weights.
-
-    Parameters
-    ----------
-    grid
-        The cells.
-    place, particle_cell
-        Position of each particle in its cell (0 to 1 along each edge), shape (p, 3), and index of
-        this cell, shape (p,). The particles are sorted by cell.
-    vector, force
-        Warp arrays of vec3d, shape (n,): displacement of the nodes [m], which `product` reads, and
-        the force [N], which it writes.
-
-    Attributes
-    ----------
-    regular
-        True for each cell with weights, bool, shape (c,).
-    weight, single
-        Weights in double and in single precision, Warp arrays, shape (strips, WEIGHTS, LANES).
-    """
-
-    def __init__(
-        self,
-        grid: HexGrid,
-        place: Array,
-        particle_cell: Int32s,
-        *,
-        vector: Any,
-        force: Any,
-        cores: int | None,
-    ) -> None:
-        device = str(vector.device)
-        self.layout = StripLayout(grid)
-        # The cubes have half the cell's edge, so their centres lie at 1/4 and 3/4.
-        off = (np.abs(np.abs(place - 0.5) - 0.25) > AT_CUBE).any(axis=1)
-        self.regular = np.ones(grid.cell_count, np.bool_)
-        self.regular[particle_cell[off]] = False
-        shape = (len(self.layout.base), WEIGHTS, LANES)
-        self.weight = wp.zeros(shape, wp.float64, device)
-        self.single = wp.zeros(shape, wp.float32, device)
-        self.regular_on = put(self.regular.astype(np.uint8), wp.uint8, device)
-        self.strip_on = put(self.layout.strip, wp.vec2i, device)
-        self.slot_on = put(self.layout.slot, wp.int32, device)
-        moved, self._force = (LaneVector(self.layout, wp.float64, device=device) for _ in range(2))
-        count = len(vector)
-        self._take_vector = SplitLaunch(
-            to_lanes, count, [self.slot_on, vector], [moved.single], cores=cores
-        )
-        self._product = StripProduct(
-            self.layout, self.weight, moved, self._force, device=device, cores=cores
-        )
-        self._give_force = SplitLaunch(
-            from_lanes, count, [self.slot_on, self._force.single], [force], cores=cores
-        )
-
-    def update(
-        self, particles: list[Any], live: Any, cells: Int32s, *, edge_m: float, strength: float
-    ) -> None:
-        """Update the weights of some cells from their particles, see `kernels.lane_vectors`."""
-        inputs = [*particles, live, self.regular_on, self.strip_on, cells, edge_m, strength]
-        run_once(cube_weights, len(cells), inputs, [self.weight, self.single])
-
-    def product(self) -> None:
-        """Compute the product of the double-precision weights with the displacement."""
-        self._take_vector()
-        self._force.single.zero_()
-        self._product()
-        self._give_force()
 
 
 def _pencil_keys(place: Int32s, width: int) -> Ints:

@@ -138,7 +138,9 @@ def draw_before_after(run: Run, path: Path) -> str | None:
 
     opened = "" if plane is None else f", cut open at {'xyz'[plane[0]]} = {plane[1]:.2f} mm"
     cut_mm2 = 1e6 * volume.spacing_m**2 * np.count_nonzero(depth.depth_mm >= UNCUT * limit)
-    summary = f"{limit:.2f} mm deep, {cut_mm2:.3g} mm²" if depth.depth_mm.any() else "not cut"
+    summary = "not cut"
+    if depth.depth_mm.any():
+        summary = f"{limit:.2f} mm deep, cut area {cut_mm2:.3g} mm²"
     names = [f"before{opened}", f"after: {summary}"]
     return draw_shaded(make, path, annotate, margins_px=HEIGHTS_PX, names=names)
 

@@ -141,13 +141,19 @@ def plain_numbers(axis: "Axis") -> None:
     """Label a logarithmic axis with plain numbers, such as 100 instead of 10^2.
 
     An axis that spans more than about three decades is labelled only at 1, 10, 100 and so on. Other
-    axes are also labelled at 2, 5, 20, 50 and so on.
+    axes are also labelled at 2, 5, 20, 50 and so on. An axis below about one decade has a label at
+    1.5, 3, 4 and 7 too.
     """
     from matplotlib.ticker import LogLocator
 
     low, high = axis.get_view_interval()
-    # over more than three decades, 2 and 5 of each decade would overlap
-    axis.set_major_locator(LogLocator(subs=(1.0,) if high > 2e3 * low else (1.0, 2.0, 5.0)))
+    labels: tuple[float, ...] = (1.0, 2.0, 5.0)
+    if high > 2e3 * low:
+        # over more than three decades, 2 and 5 of each decade would overlap
+        labels = (1.0,)
+    elif high < 15.0 * low:
+        labels = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+    axis.set_major_locator(LogLocator(subs=labels))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter("")
 

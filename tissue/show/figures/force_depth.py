@@ -117,7 +117,11 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
     _shade(run, panels, depth, rows, size)
     plain(panels)
     panels[-1].set_xlim(depth[0], depth[-1])
-    panels[-1].set_xlabel("depth of the tool's tip from its first contact / mm")
+    last_s = trace["time_s"][rows[-1]]
+    panels[-1].set_xlabel(
+        "depth of the tool's tip from its first contact / mm; "
+        f"the last new depth is reached at {last_s:.3f} s"
+    )
     chart.align_ylabels(panels)
     legend_above(panels[0], 2)
     save(chart, path)
@@ -163,7 +167,8 @@ def draw_insertion(run: Run, path: Path) -> None:
     trace = run.trace
     time = trace["time_s"]
     depth = -trace["tool_z_mm"]
-    force = trace["model_force_z_N"]
+    axes_of_tool = tool_axes(trace.quaternions())
+    force = np.einsum("ij,ij->i", trace.vectors("model_force", "N"), axes_of_tool)
     # inches: two panels of equal height
     chart, panels = panelled(f"{run.scene.name}: axial force on the needle", (8.0, 6.4), 2)
     over_depth, over_time = panels

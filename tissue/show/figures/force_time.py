@@ -308,7 +308,9 @@ def draw_played(run: Run, path: Path) -> None:
             zorder=0,
             label="compressed into the device's range",
         )
-    panels[0].axvspan(time[moment][0], time[moment][-1], color="0.85", linewidth=0.0, zorder=0)
+    # the edges stay visible where the interval is narrower than a pixel
+    edges: dict[str, Any] = {"facecolor": "0.85", "edgecolor": "0.4", "linewidth": 1.0}
+    panels[0].axvspan(time[moment][0], time[moment][-1], zorder=0, **edges)
     panels[1].set_title("steepest change of force in contact, grey above", loc="left")
     apart = np.abs(trace.vectors("tool", "mm") - trace.vectors("device", "mm")).max(axis=0)
     axis = "xyz"[int(apart.argmax())]

@@ -238,7 +238,7 @@ def draw_section(run: Run, path: Path) -> None:
     through, x, y = _described(run, section, near)
     # 1.75 in for title, titles of the panels, label of the axis and legend
     chart, panels = panelled(
-        f"{run.scene.name}: section at {run.trace['time_s'][row]:.3f} s through {through}",
+        f"{run.scene.name}: section at {run.trace['time_s'][row]:.3f} s{through}",
         (8.0, wide * shape + 1.75),
         1,
         1 if frame is None else 2,
@@ -250,7 +250,7 @@ def draw_section(run: Run, path: Path) -> None:
     if near is not None:
         panels[0].plot(*section.project(near.points_mm).T, **NEAREST)
     panels[0].set_ylabel(f"{y} / mm")
-    panels[0].set_title("layers and removed tissue")
+    panels[0].set_title("layers, and tissue removed up to this time")
     handles = _handles(run, section)
     chart.legend(handles=[*handles, *structures], loc="outside lower center", ncols=4)
     if series is not None and frame is not None:
@@ -264,15 +264,19 @@ def draw_section(run: Run, path: Path) -> None:
 
 
 def _described(run: Run, section: Section, near: Closest | None) -> tuple[str, str, str]:
-    """Return texts for a section: where it lies, and the names of its two axes."""
+    """Return texts for a section: its time or place, and the names of its two axes."""
     if near is not None:
-        through = f"the tool's axis and the nearest point of {near.name}"
+        through = (
+            ", the time of the smallest distance,\n"
+            f"through the tool's axis and the nearest point of {near.name}"
+        )
         return through, f"from the tool's axis towards {near.name}", "along the tool's axis"
     x, y, normal = (axis_names(run)[each] for each in section.axes.argmax(axis=1))
     touched = bool((run.trace["contact_mm2"] > 0.0).any())
     # `plane_of` looks only at the ticks in contact if there are any
-    deepest = "the deepest point in contact" if touched else "the deepest point of the path"
-    return f"{deepest}, {normal} = {section.origin_mm @ section.axes[2]:.2f} mm", x, y
+    deepest = "deepest contact so far" if touched else "deepest point of the path so far"
+    place = f"{normal} = {section.origin_mm @ section.axes[2]:.2f} mm"
+    return f",\nin the plane of the {deepest}, {place}", x, y
 
 
 def _draw_layers(axes: "Axes", run: Run, section: Section) -> None:

@@ -53,10 +53,10 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
     torque = summary["torque_Nm"]
     tick = summary["tick_us"]
     left_s = summary.get("left_region_s")
+    valid = "" if left_s is None else f" (not valid after {left_s:.3f} s)"
     rows = [("simulated", f"{summary['simulated_s']:g} s")]
     if summary["cuts"]:
         start = summary["start_mm3"]
-        valid = "" if left_s is None else f" (not valid after {left_s:.3f} s)"
         rows += [
             # The rest of the bone is not simulated, so its volume is not known.
             (f"removed {layer}", f"{removed:.3g} of the simulated {start[layer]:.4g} mm³{valid}")
@@ -78,14 +78,14 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
         rows.append(
             (
                 f"largest temperature rise of the {rise['tissue']}",
-                f"{rise['rise_K']:.2f} K at {rise['time_s']:.3g} s{rising}",
+                f"{rise['rise_K']:.2f} K at {rise['time_s']:.3g} s{rising}{valid}",
             )
         )
     if (apart := summary.get("path_distance_mm")) is not None:
         rows.append(
             (
                 "largest distance from the path, in contact / in the whole run",
-                f"{apart['largest_in_contact']:.3g} / {apart['largest']:.3g} mm",
+                f"{apart['largest_in_contact']:.3g} / {apart['largest']:.3g} mm{valid}",
             )
         )
     # Only the summary of an organ with a hyperelastic law has this table.
@@ -99,11 +99,11 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
         *rows,
         (
             "force, peak / mean in contact",
-            f"{force['peak']:.3g} / {force['mean_in_contact']:.3g} N",
+            f"{force['peak']:.3g} / {force['mean_in_contact']:.3g} N{valid}",
         ),
         (
             "torque, peak / mean in contact",
-            f"{torque['peak']:.3g} / {torque['mean_in_contact']:.3g} N m",
+            f"{torque['peak']:.3g} / {torque['mean_in_contact']:.3g} N m{valid}",
         ),
         (
             "tick, median / 99 % / max",

@@ -26,7 +26,7 @@ from tissue.show.viewer.saved_surfaces import (
 from tissue.simulation.run_folder import SavedRun, saved_placement
 from tissue.simulation.saved_fields import SavedFields, field_label, field_values
 from tissue.simulation.trace import Table
-from tissue.simulation.vtk_files import mesh_in_scene, read_collection
+from tissue.simulation.vtk_files import in_scene, read_collection
 
 if TYPE_CHECKING:
     import pyvista
@@ -173,7 +173,7 @@ def _bone_moments(saved: SavedRun) -> Iterator[tuple[float, bool, Any]]:
         for time_s, part, name in entries:
             # a surface that does not change is listed at every moment
             if name not in read:
-                read[name] = mesh_in_scene(pyvista.read(saved.path / name), placement)
+                read[name] = in_scene(pyvista.read(saved.path / name), placement)
                 yield time_s, part == 1, read[name]
         return
     bone = bone_of(saved, saved.scene)

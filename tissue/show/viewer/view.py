@@ -216,7 +216,7 @@ def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
     require_range("scale", choice.scale, 0.0 if can_move else 1.0, most, "use 1 for true size")
     if choice.time_s is not None:
         first, last = (times[0], times[-1]) if len(times) else (0.0, 0.0)
-        nearest = f"use {min(max(choice.time_s, first), last):g}"
+        nearest = f"use a time such as {min(max(choice.time_s, first), last):g}"
         # rounding of times in a file
         require_range("time_s", choice.time_s, first - 1e-9, last + 1e-9, nearest)
 

@@ -18,7 +18,7 @@ from meshes.surfaces.triangle_files import read_triangles
 from meshes.tets.files import require_millimetres
 from meshes.tooth.layers import TOOTH_LAYERS
 from meshes.vertebra.lumbar import VERTEBRA_LAYERS
-from tissue.materials.constants import listed
+from tissue.materials.constants import CUT_AS, constants, listed
 from tissue.materials.scene_constants import Materials
 from tissue.scene.anatomy import Tooth
 from tissue.scene.load import names_file
@@ -35,6 +35,8 @@ LAYERS = (*GLENOID_LAYERS, *VERTEBRA_LAYERS, *TOOTH_LAYERS)
 
 A file of material constants may name any of these layers, even layers that the scene does not have.
 """
+UNUSUAL = 10.0
+"""Ratio beyond the cited range of a constant at which a run notes that the unit may be wrong."""
 
 
 def require_known(options: Mapping[str, object], table: type, *, of: str) -> None:
@@ -116,9 +118,27 @@ def given_note(
         f"{full} {one.cited.value:g} ({one.cited.low:g}-{one.cited.high:g}), {one.cited.source}"
         for full, one in used.items()
     )
+    note += "".join(_unusual(full, one.cited.value) for full, one in used.items())
     if unused := [full for full in given.given if full not in used]:
         note += f". Not used in this {by}: {', '.join(unused)}"
     return {"materials": note}
+
+
+def _unusual(full: str, value: float) -> str:
+    """Return a sentence if a given constant is far outside the built-in range, else no text."""
+    table, material, name = full.split(".")
+    layer_material = CUT_AS.get(material, "bone")
+    cited = constants(table, material if material in listed(table) else layer_material)[name]
+    # A constant is 0 if an effect is left out, and such a value has no wrong unit.
+    is_usual = cited.low / UNUSUAL <= value <= UNUSUAL * cited.high
+    if is_usual or value == 0.0 or cited.high == 0.0:
+        return ""
+    end = "upper" if value > cited.high else "lower"
+    ratio = value / (cited.high if value > cited.high else cited.low)
+    return (
+        f". {full} is {float(f'{ratio:.2g}'):g} times the {end} end of the built-in range "
+        f"({cited.low:g}-{cited.high:g}): check its unit"
+    )
 
 
 def require_files(scene: Scene) -> None:

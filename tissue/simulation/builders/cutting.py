@@ -27,7 +27,7 @@ from tissue.scene.part import is_given
 from tissue.scene.registry import CUTTERS
 from tissue.scene.scene import Cutting, Scene
 from tissue.scene.tool import PathMotion, ReplayMotion, Tool
-from tissue.simulation.builders.keep_clear import keep_clear, region_end
+from tissue.simulation.builders.keep_clear import watch
 from tissue.simulation.builders.parts import (
     Parts,
     far_note,
@@ -110,7 +110,8 @@ def milled(
         )
     else:
         _require_chips(scene, cutter)
-        layers = _filled_layers(volume)
+        # Names of the layers that have bone in the volume.
+        layers = [volume.layer_names[at] for at in np.unique(volume.layer[volume.fraction > 0])]
         _require_effect(scene, volume, layers)
         notes.update(_replaced_note(scene, layers))
         notes["specific cutting energy"] = energy_note(
@@ -133,17 +134,6 @@ def milled(
             from tissue.simulation.builders.around_cut import heated_bone
 
             tissue = heated_bone(scene, milling, motion, compute=compute, report=report)
-    clear = None
-    if scene.keep_clear is not None:
-        clear = keep_clear(
-            scene.keep_clear,
-            scene.bone,
-            cutter,
-            motion,
-            placement=volume.placement,
-            notes=notes,
-            report=report,
-        )
     parts = Parts(
         motion,
         tissue,
@@ -151,9 +141,8 @@ def milled(
         volume=volume,
         placement=volume.placement,
         notes=notes,
-        keep_clear=clear,
     )
-    parts.region_end = region_end(scene, parts)
+    watch(scene, parts, report=report)
     file = recorded_file(scene)
     if file and (notice := w_first_notice(volume, cutter, motion, file)):
         parts.events.append((0.0, notice))
@@ -199,11 +188,6 @@ def _require_chips(scene: Scene, cutter: Cutter) -> None:
             f"{scene.motion.feed_mm_s:g}, which gives chips of {chip_mm:.3g} mm",
             "use a slower feed, or a higher tool.spin_rpm",
         )
-
-
-def _filled_layers(volume: VoxelVolume) -> list[str]:
-    """Return the names of the layers that have bone in a volume, in the order of `layer_names`."""
-    return [volume.layer_names[at] for at in np.unique(volume.layer[volume.fraction > 0])]
 
 
 def _replaced_note(scene: Scene, layers: list[str]) -> dict[str, str]:

@@ -43,6 +43,11 @@ STRAY_M = 2e-3
 
 A hand trembles and misses its targets. The value is assumed.
 """
+TOOLS: dict[str, type[HeldTool]] = {"cuts": CuttingTool, "touches": ProbingTool}
+"""Models of a tool that a spring couples to a device, keyed by the kind of contact.
+
+All other tools are a `PressingTool`.
+"""
 
 
 def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tuple[HandMotion, str]:
@@ -73,10 +78,16 @@ def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tupl
         x, y, z = start.tolist()
         return SimulatedDevice(settings.limits, hand, position_m=(x, y, z))
 
+    stray_m = STRAY_M
+    if settings.coupling.roam_mm is not None:
+        stray_m = 1e-3 * settings.coupling.roam_mm
+    # Voxels have a margin of their own, and a wall needs no preparation.
+    elif isinstance(scene.tool, Tool) or isinstance(scene.anatomy, WallAnatomy):
+        stray_m = 0.0
     script = Script(
         motion=scripted,
         motion_scale=scale,
-        stray_m=_stray_m(scene),
+        stray_m=stray_m,
         after_s=person.reaction_s + person.submovement_s + person.correction_s,
     )
     force_scale = chosen_scale(scene)
@@ -103,16 +114,6 @@ def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tupl
         f"{'; '.join(notes)}"
     )
     return motion, note
-
-
-def _stray_m(scene: Scene) -> float:
-    """Return the distance around the scripted motion within which tissue is prepared [m]."""
-    if scene.held.coupling.roam_mm is not None:
-        return 1e-3 * scene.held.coupling.roam_mm
-    return (
-        # Voxels have a margin of their own, and a wall needs no preparation.
-        0.0 if isinstance(scene.tool, Tool) or isinstance(scene.anatomy, WallAnatomy) else STRAY_M
-    )
 
 
 def _require_workspace(scene: Scene, scripted: Motion, limits: DeviceParameters) -> None:
@@ -239,7 +240,8 @@ def device_motion(
     factor, how = force_scale
     spring = judged.loop.stiffness_N_m / (scale * factor)
     turn = HeldTurn(turning.loop.stiffness_N_m * scale / factor if turning else inf)
-    tool = _tool(settings, spring, script.motion.sweep_m()[0], turn)
+    kind = TOOLS.get(settings.contact, PressingTool)
+    tool = kind(spring, script.motion.sweep_m()[0], turn)
     felt = settings.perception(rng)
     rendering = Rendering(
         law=_law(settings, loop),
@@ -269,7 +271,7 @@ def device_motion(
     if felt is not None:
         notes.append(felt.sentence)
     loops = [judged, turning] if turning else [judged]
-    if released := release_note(loops):
+    if released := release_note(settings, loops):
         notes[-1] += f". {released}"
     return motion, notes
 
@@ -280,15 +282,6 @@ def _law(settings: LoopSettings, loop: WallLoop) -> Renderer:
     The law is evaluated in every tick, even if the device has fewer than 1000 samples per second.
     """
     return renderer(settings.held.renderer, replace(loop, tick_s=TICK_S))
-
-
-def _tool(settings: LoopSettings, spring_N_m: float, start_m: Array, turn: HeldTurn) -> HeldTool:
-    """Return the model of a tool that a spring couples to a device."""
-    if settings.contact == "cuts":
-        return CuttingTool(spring_N_m, start_m, turn)
-    return (ProbingTool if settings.contact == "touches" else PressingTool)(
-        spring_N_m, start_m, turn
-    )
 
 
 def _played(settings: LoopSettings, person: Perception | None) -> PlayedForce:

@@ -8,13 +8,11 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
-from meshes.base.placement import Placement
 from meshes.base.progress import Progress
 from meshes.base.text_tables import shown
 from meshes.shapes.sdf import Shape, shape_triangles
 from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.cutters.body import body_points
-from tissue.cutters.cutter import Cutter
 from tissue.models.bone.region_end import RegionEnd
 from tissue.models.keep_clear import (
     APART_M,
@@ -26,7 +24,6 @@ from tissue.models.keep_clear import (
     Structure,
 )
 from tissue.models.tissue_model import StopsReporting
-from tissue.motion.motion import Motion
 from tissue.scene.anatomy import BlockImage, CutAnatomy, MolarSurfaces
 from tissue.scene.scene import KeepClear as Wanted
 from tissue.scene.scene import Scene
@@ -43,33 +40,48 @@ These points determine the box that the tool can reach. The value was chosen by 
 """
 
 
-def keep_clear(
-    wanted: Wanted,
-    anatomy: CutAnatomy,
-    cutter: Cutter,
-    motion: Motion,
-    *,
-    placement: Placement | None,
-    notes: dict[str, str],
-    report: Progress,
-) -> KeepClear:
-    """Build the object that measures a cutter's distance from the structures that a scene names.
+def watch(scene: Scene, parts: Parts, *, report: Progress) -> None:
+    """Add the objects that watch the tool to the parts of a milling scene.
 
-    Parameters
-    ----------
-    anatomy
-        Anatomy of the scene.
-    placement
-        Pose of the scene in the frame of the file from which the anatomy was read; None if both
-        frames are the same.
+    The first object measures the distance from the structures that the scene names. The second
+    object reports when the tool leaves the simulated region.
 
     Raises
     ------
     InputError
         If the anatomy does not have a named structure, or a file cannot be used.
     """
-    points = body_points(cutter.profile, spacing_m=cutter.profile.radius_m / POINTS_ACROSS)
-    low, high = swept_box(points, motion, MARGIN_M)
+    if scene.keep_clear is not None:
+        parts.keep_clear = _keep_clear(scene.keep_clear, scene.bone, parts, report=report)
+    whole = isinstance(scene.anatomy, BlockImage) and scene.anatomy.is_whole
+    # The region contains all of a scripted motion, and all of an image that is not cut out.
+    if scene.device is None or whole:
+        return
+    assert parts.volume is not None
+    assert parts.cutter is not None
+    tissue = None
+    if is_procedural(scene.bone):
+        anatomy, hole = solid_of(scene, parts.motion)
+        tissue = anatomy.shape if hole is None else anatomy.shape - hole
+    reporters = (parts.tissue, parts.keep_clear)
+    parts.region_end = RegionEnd(
+        parts.volume,
+        parts.cutter,
+        margin_mm=scene.voxels.margin_mm,
+        tissue=tissue,
+        reporters=tuple(each for each in reporters if isinstance(each, StopsReporting)),
+    )
+
+
+def _keep_clear(
+    wanted: Wanted, anatomy: CutAnatomy, parts: Parts, *, report: Progress
+) -> KeepClear:
+    """Build the object that measures a cutter's distance from the structures that a scene names."""
+    assert parts.cutter is not None
+    profile = parts.cutter.profile
+    placement = parts.placement
+    points = body_points(profile, spacing_m=profile.radius_m / POINTS_ACROSS)
+    low, high = swept_box(points, parts.motion, MARGIN_M)
     distances: dict[str, Distance] = {}
     found: dict[str, Structure] = {}
     shapes = require_structures(wanted, anatomy)
@@ -91,19 +103,19 @@ def keep_clear(
         found[name] = Structure(vertices, surface.faces)
         distances[name] = partial(triangle_distance, vertices, surface.faces)
         if surface.report.repairs:
-            notes[f"surface of {name}"] = " ".join(surface.report.repairs)
+            parts.notes[f"surface of {name}"] = " ".join(surface.report.repairs)
     slack_m = max(structure.slack_m for structure in found.values())
     deep = ""
     if any(len(structure.faces) > MANY_TRIANGLES for structure in found.values()):
         deep = f" ({1e3 * (slack_m + DEEP_OVERLAP_M):.2g} mm if it is more than 1 mm deep)"
-    notes["keep clear"] = (
+    parts.notes["keep clear"] = (
         "no distance in the trace is too large. A distance is too small by at most "
         f"{1e3 * (slack_m + APART_M):.2g} mm, and in a breach by at most "
         f"{1e3 * (slack_m + OVERLAP_M):.2g} mm{deep}. Both errors are larger if tens of thousands "
         "of triangles are equally near"
     )
     return KeepClear(
-        cutter.profile,
+        profile,
         found,
         distances,
         box_m=np.array([low, high]),
@@ -139,29 +151,4 @@ def _unknown_structure(name: str, anatomy: CutAnatomy, shapes: Mapping[str, Shap
         f"be structures of the anatomy ({', '.join(known) or 'none'})",
         shown(name),
         remedy,
-    )
-
-
-def region_end(scene: Scene, parts: Parts) -> RegionEnd | None:
-    """Return an object that reports when the tool leaves the simulated region.
-
-    The result is None if the tool cannot leave this region.
-    """
-    whole = isinstance(scene.anatomy, BlockImage) and scene.anatomy.is_whole
-    # The region contains all of a scripted motion, and all of an image that is not cut out.
-    if scene.device is None or whole:
-        return None
-    assert parts.volume is not None
-    assert parts.cutter is not None
-    tissue = None
-    if is_procedural(scene.bone):
-        anatomy, hole = solid_of(scene, parts.motion)
-        tissue = anatomy.shape if hole is None else anatomy.shape - hole
-    reporters = (parts.tissue, parts.keep_clear)
-    return RegionEnd(
-        parts.volume,
-        parts.cutter,
-        margin_mm=scene.voxels.margin_mm,
-        tissue=tissue,
-        reporters=tuple(each for each in reporters if isinstance(each, StopsReporting)),
     )

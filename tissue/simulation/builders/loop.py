@@ -195,37 +195,37 @@ class JudgedLoop:
         Unit of the stiffness.
     alone
         Critical stiffness of the loop without a hand.
-    saves
-        Text that names the mechanisms, other than a hand, that can stop an oscillation of the
-        device.
     """
 
     loop: WallLoop
     verdict: Verdict
     unit: str
     alone: float
-    saves: str
 
     def sentence(self) -> str:
         """Return a sentence on the stiffness of the loop and on its stability with a hand."""
         return self.verdict.sentence(self.loop.stiffness_N_m).replace("N/m", self.unit)
 
-    @property
-    def needs_hand(self) -> bool:
-        """True if the loop is stable with a hand, but unstable without a hand."""
-        return self.verdict.stable and self.loop.stiffness_N_m >= self.alone
 
+def release_note(settings: LoopSettings, loops: Sequence[JudgedLoop]) -> str:
+    """Return a text about the loops that are stable only with a hand; empty if there are none.
 
-def release_note(loops: Sequence[JudgedLoop]) -> str:
-    """Return a text about the loops that are stable only with a hand; empty if there are none."""
-    loops = [each for each in loops if each.needs_hand]
-    if not loops:
+    The text names the mechanisms, other than a hand, that can stop an oscillation of the device.
+    """
+    limits = " and ".join(
+        f"{each.alone:.3g} {each.unit}"
+        for each in loops
+        if each.verdict.stable and each.loop.stiffness_N_m >= each.alone
+    )
+    if not limits:
         return ""
-    limits = " and ".join(f"{each.alone:.3g} {each.unit}" for each in loops)
+    saves = "friction (or renderer = passivity)"
+    if settings.held.renderer == "passivity":
+        saves = "friction and the passivity controller"
     return (
         "If the hand lets go while the tissue holds the tool from two sides, the device can "
         f"oscillate. Without a hand, the coupling is stable only below {limits}. "
-        f"Only {loops[0].saves} can stop the oscillation"
+        f"Only {saves} can stop the oscillation"
     )
 
 
@@ -242,35 +242,29 @@ def judged_loops(
     InputError
         If a loop is unstable and `allow_unstable` is not set.
     """
-    person = settings.person
-    position = judged_loop(settings)
-    hands = settling_hands(position, person.linear_hands)
-    steepest = _steepest(settings)
-    verdict = _judged(position, hands, steepest)
-    loops = [(position, verdict, "stiffness_N_m", "N/m", steepest)]
-    if settings.limits.torque_limit_Nm > 0.0:
-        turning = _turning_loop(settings)
-        steepest = 1.0 / _usable_share(verdict)
-        verdict = _judged(turning, (LinearHand(*person.grip[3:]),), steepest)
-        loops.append((turning, verdict, "stiffness_Nm_rad", "N m/rad", steepest))
-    saves = "friction (or renderer = passivity)"
-    if settings.held.renderer == "passivity":
-        saves = "friction and the passivity controller"
-    found: list[JudgedLoop] = []
-    for loop, verdict, key, unit, steepest in loops:
+
+    def judged(
+        loop: WallLoop, hands: tuple[LinearHand, ...], steepest: float, key: str, unit: str
+    ) -> JudgedLoop:
+        """Return the stability of a loop after multiplying its force slope by `steepest`."""
+        verdict = judge(loop.with_stiffness(steepest * loop.stiffness_N_m), hands)
+        critical = verdict.critical_N_m / steepest
+        nearest = loop.stiffness_N_m if verdict.stable else nearest_stable_N_m(critical)
+        verdict = replace(verdict, critical_N_m=critical, nearest_N_m=nearest)
         if not verdict.stable and not allow_unstable:
             raise _refusal(settings, verdict, loop.stiffness_N_m, key)
-        alone = critical_stiffness_N_m(loop) / steepest
-        found.append(JudgedLoop(loop, verdict, unit, alone, saves))
-    return found[0], found[1] if len(found) > 1 else None
+        return JudgedLoop(loop, verdict, unit, critical_stiffness_N_m(loop) / steepest)
 
-
-def _judged(loop: WallLoop, hands: tuple[LinearHand, ...], steepest: float) -> Verdict:
-    """Return the stability of a loop after multiplying its force slope by ``steepest``."""
-    verdict = judge(loop.with_stiffness(steepest * loop.stiffness_N_m), hands)
-    critical = verdict.critical_N_m / steepest
-    nearest = loop.stiffness_N_m if verdict.stable else nearest_stable_N_m(critical)
-    return replace(verdict, critical_N_m=critical, nearest_N_m=nearest)
+    person = settings.person
+    loop = judged_loop(settings)
+    hands = settling_hands(loop, person.linear_hands)
+    position = judged(loop, hands, _steepest(settings), "stiffness_N_m", "N/m")
+    if settings.limits.torque_limit_Nm <= 0.0:
+        return position, None
+    hands = (LinearHand(*person.grip[3:]),)
+    steepest = 1.0 / _usable_share(position.verdict)
+    turning = _turning_loop(settings)
+    return position, judged(turning, hands, steepest, "stiffness_Nm_rad", "N m/rad")
 
 
 def _usable_share(position: Verdict) -> float:
@@ -346,6 +340,15 @@ def judged_loop(settings: LoopSettings) -> WallLoop:
 def lead_ticks(settings: LoopSettings) -> float:
     """Return the prediction horizon: the delay of a force on its path to the motor [ticks]."""
     return motor_lag_ticks(motor_path(settings))
+
+
+def horizon_text(horizon_ms: float, delay_ms: float) -> str:
+    """Return a prediction horizon with its parts: the latency of the coupling, and the rest."""
+    rest_ms = horizon_ms - delay_ms
+    return (
+        f"{horizon_ms:.3g} ms (coupling.delay_ms = {delay_ms:g}, and {rest_ms:.3g} ms for device, "
+        "low-pass and zero-order hold)"
+    )
 
 
 def motor_path(settings: LoopSettings) -> WallLoop:

@@ -36,6 +36,7 @@ from tissue.scene.organ import (
 from tissue.scene.part import is_given
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
+from tissue.simulation.builders.arguments import UNUSUAL
 from tissue.simulation.builders.organ_given import SoftMaterial, hold_of
 from tissue.simulation.builders.parts import FILE_WORDS
 
@@ -63,8 +64,6 @@ OF_ORGAN = {
     "modulus_kPa": "organ.young_kPa",
 }
 """Keys of a scene, keyed by the fields of `SoftMaterial`."""
-UNUSUAL = 10.0
-"""Ratio beyond the cited range of a modulus at which a run notes that the unit may be wrong."""
 LOCKING_RATIO = 0.45
 """Poisson's ratio above which a run notes that linear tetrahedra lock.
 
@@ -162,15 +161,6 @@ def held_mesh(
         return _from_file(anatomy, fine, report)
 
 
-def elasticity_of(
-    mesh: TetMesh, anatomy: SoftAnatomy, organ: Organ, constants: Materials = Materials.cited
-) -> tuple[Array, str]:
-    """Return the elastic constants of the cells [Pa], and a note; see `SoftMaterial.elasticity`."""
-    material, notes = material_of(anatomy, organ, constants)
-    with names_of_caller(OF_ORGAN):
-        return material.elasticity(mesh), notes["modulus"]
-
-
 def material_of(
     anatomy: SoftAnatomy, organ: Organ, constants: Materials
 ) -> tuple[SoftMaterial, dict[str, str]]:
@@ -181,8 +171,7 @@ def material_of(
     Raises
     ------
     InputError
-        If the organ is viscous and its compliance is ``lazy`` (see the key ``organ.path``), or if
-        its material has no relaxation constants.
+        If the organ is viscous and its material has no relaxation constants.
     """
     cited = constants.constants("soft", organ.material)
     young_kPa = organ.young_kPa or cited["modulus_kPa"].value
@@ -215,10 +204,6 @@ def material_of(
         density = cited["density_kg_m3"].value
     relaxation: list[tuple[float, float]] = []
     if organ.viscous:
-        if organ.path == "lazy":
-            raise InputError(
-                "organ.path", "not be lazy for a viscous organ", "lazy", "use condensed"
-            )
         # The file of constants numbers the terms of the series.
         numbers = [k for k in range(1, 10) if f"prony_g{k}" in cited]
         if not numbers:
@@ -405,8 +390,8 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
     organ
         Organ parameters of the scene.
     lame_Pa
-        Lame constants at small strains [Pa], shape (m, 2), as returned by `elasticity_of`. The
-        ratio of the two constants must be the same in all cells.
+        Lame constants at small strains [Pa], shape (m, 2), as returned by
+        `SoftMaterial.elasticity`. The ratio of the two constants must be the same in all cells.
 
     Raises
     ------

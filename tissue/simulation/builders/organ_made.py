@@ -13,6 +13,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, by, names_of_caller, require_positive
 from meshes.base.progress import Progress
 from meshes.surfaces.surface import Surface
+from meshes.tets.quality import describe
 from meshes.tets.regions import Nodes
 from meshes.tets.stuffing import EDGE_GROWTH, bisected, with_inclusion
 from meshes.tets.tetrahedra import TetMesh
@@ -39,6 +40,11 @@ FINE_EDGES = 1.0
 """Distance from a given point, in edge lengths, within which all edges have the shortest length.
 
 The value was chosen by judgement.
+"""
+PLAUSIBLE_ML = (1.0, 10_000.0)
+"""Range of the volume of a plausible organ [ml]. Outside it, a note asks for the unit of the mesh.
+
+The values were chosen by judgement.
 """
 TOUCHED_EDGES = 3.0
 """Radius around a point, in edge lengths, within which a tool is expected to touch the surface.
@@ -172,7 +178,8 @@ class MadeOrgan:
         with names_of_caller({"size_m": "edge_mm"}):
             finer = bisected(mesh, wanted, onto=onto)
         expected = None if near is None else (near, TOUCHED_EDGES * edge_m)
-        return replace(self, mesh=finer, near=expected)
+        notes = self.notes | {"refined mesh": " ".join(describe(finer))}
+        return replace(self, mesh=finer, near=expected, notes=notes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,6 +285,17 @@ def made_of(
     return made
 
 
+def size_note(volume_m3: float, scale_mm: float | None) -> dict[str, str]:
+    """Return a note if an organ of unknown unit has an implausible volume."""
+    volume_ml = 1e6 * volume_m3
+    if scale_mm is not None or PLAUSIBLE_ML[0] <= volume_ml <= PLAUSIBLE_ML[1]:
+        return {}
+    return {
+        "unit": f"an organ of {volume_ml:.3g} ml, if its unit is 1 mm. For another unit, give "
+        "scale_mm, the millimetres per unit"
+    }
+
+
 def of_surface(
     surface: object,
     stated: StatedOrgan,
@@ -309,7 +327,11 @@ def of_surface(
     stated.material.moduli_kPa(("body", *inclusions))
     outer = surface_of("surface", surface, scale_mm)
     usual = max(outer.report.size_mm) / FILL_EDGES
-    edge = usual if edge_mm is None else require_positive("edge_mm", edge_mm, f"use {usual:.2g}")
+    edge = (
+        usual
+        if edge_mm is None
+        else require_positive("edge_mm", edge_mm, f"use a value such as {usual:.2g}")
+    )
     inner = {
         name: surface_of(f"inclusions[{name!r}]", each, scale_mm)
         for name, each in inclusions.items()
@@ -318,6 +340,7 @@ def of_surface(
     with names_of_caller({"edge_m": "edge_mm"}):
         mesh, sentences = tetrahedralise(outer, edge_m=1e-3 * edge, report=report)
     notes = {"mesh": " ".join((*outer.report.repairs, *sentences))}
+    notes |= size_note(1e-9 * outer.report.volume_mm3, scale_mm)
     for name, each in inner.items():
         with names_of_caller({name: f"inclusions[{name!r}]"}):
             mesh, notes[name] = with_inclusion(

@@ -11,6 +11,7 @@ from meshes.base.arrays import Array
 from meshes.base.cache import Kept
 from meshes.base.errors import InputError, by, names_of_caller
 from meshes.base.progress import Progress
+from meshes.base.text_tables import shown
 from meshes.paths.toolpath import kept_corners
 from meshes.tets.tetrahedra import TetMesh
 from tissue.materials.scene_constants import Materials
@@ -21,14 +22,17 @@ from tissue.scene.coupling import WallAnatomy
 from tissue.scene.organ import IncisedAnatomy, LayersAnatomy, LiverFile, SoftAnatomy
 from tissue.scene.registry import NEEDLES, PROBES
 from tissue.scene.scene import Scene
-from tissue.scene.tool import Blade, Needle, Probe
+from tissue.scene.tool import Blade, Needle, PathMotion, Probe
 from tissue.simulation.builders.organ import OF_ORGAN, HeldMesh, held_mesh, material_of, organ_law
 from tissue.simulation.builders.parts import FILE_WORDS, Parts, poses_along
 
 if TYPE_CHECKING:
     from tissue.models.incision.parameters import Blade as IncisionBlade
+    from tissue.models.needle.fields import Track
     from tissue.models.needle.parameters import NeedleTissue
 
+ASIDE_DEG = 10.0
+"""Angle between a needle and its path in the organ [degrees] that causes a note, by judgement."""
 POSES_TRIED = 200
 """Number of poses along a motion at which contact is searched for, chosen by judgement.
 
@@ -70,6 +74,8 @@ def pierced(scene: Scene, motion: Motion, *, report: Progress, **settings: objec
     tissue = pierced_tissue(scene)
     notes = {"needle": _needle_note(scene, tissue)}
     track = Track.first_of(motion.sweep_m(), motion.rotations()[:, :, 2], diameter_m=diameter)
+    if track is not None and isinstance(scene.motion, PathMotion):
+        notes |= _axis_note(scene.motion, track)
     fields = None
     if track is not None and scene.anatomy.interval_ms > 0.0:
         report("solving a block of the organ around the needle", 0.0)
@@ -279,6 +285,24 @@ def _needle_note(scene: Scene, tissue: "NeedleTissue") -> str:
     ]
     remarks.append("forces across the needle's axis are not modelled")
     return "; ".join(remarks)
+
+
+def _axis_note(motion: PathMotion, track: "Track") -> dict[str, str]:
+    """Return a note if the path leads into the organ in another direction than the needle."""
+    inward_m = -float(track.arm_m @ track.outward)
+    aside_m = float(np.linalg.norm(track.arm_m + inward_m * track.outward))
+    angle_deg = float(np.degrees(np.arctan2(aside_m, inward_m)))
+    if angle_deg <= ASIDE_DEG:
+        return {}
+    outward = -track.arm_m / np.linalg.norm(track.arm_m)
+    # 0.0 is added to turn -0.0 into 0.0
+    axis = (np.round(outward, 3) + 0.0).tolist()
+    return {
+        "axis": f"motion.axis is {shown(motion.axis)}, and the path leads into the organ at "
+        f"{angle_deg:.0f} degrees to it. The needle moves {1e3 * aside_m:.3g} mm sideways, and "
+        "forces across its axis are not modelled. For a needle along its path, set motion.axis = "
+        f"{shown(axis)}"
+    }
 
 
 def blade_of(scene: Scene) -> "IncisionBlade":

@@ -47,10 +47,10 @@ A robot may approach the bone from this distance. The limit is at least the size
 bone, so larger bones have a larger limit. The value was chosen by judgement.
 """
 MUCH_MORE = 2.0
-"""Ratio of volumes above which a run suggests that quaternions are given as w, x, y, z.
+"""Ratio of shares above which a run suggests that quaternions are given as w, x, y, z.
 
-Both volumes are the volume of the tool inside the bone at the start. The first volume results from
-the order x, y, z, w, and the second volume from the order w, x, y, z.
+Both shares are the share of the tool's surface inside the bone at the start. The first share
+results from the order x, y, z, w, and the second share from the order w, x, y, z.
 
 The limit is larger than 1, because a tool that starts in contact overlaps some bone for both
 orders. The value is assumed.
@@ -265,17 +265,22 @@ def far_note(volume: VoxelVolume, points_mm: Sequence[Sequence[float]]) -> str |
 
 def require_outside(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
     """Raise an error if a motion starts with the cutting surface inside the tooth."""
-    shell = _fine_shell(volume, cutter)
-    points = motion.sweep_m()[0] + shell @ motion.rotations()[0].T
-    inside = int((_fraction_at(volume, points) == FULL).sum())
-    if inside:
-        start = in_brackets(1e3 * motion.sweep_m()[0], ".4g")
+    tip = motion.sweep_m()[0]
+    inside = _share_inside(volume, cutter, tip, motion.rotations()[0])
+    if inside > 0.0:
         raise InputError(
             "motion",
             "start outside the tooth",
-            f"a bur at {start} mm with {inside / len(points):.0%} of its surface inside",
+            f"a bur at {in_brackets(1e3 * tip, '.4g')} mm with {inside:.0%} of its surface inside",
             "start higher",
         )
+
+
+def _share_inside(volume: VoxelVolume, cutter: Cutter, tip_m: Array, rotation: Array) -> float:
+    """Return the share of the cutting surface that lies in full voxels at a pose."""
+    shell = _fine_shell(volume, cutter)
+    held = _fraction_at(volume, tip_m + shell @ rotation.T)
+    return float(np.count_nonzero(held == FULL) / len(shell))
 
 
 def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
@@ -333,33 +338,16 @@ def w_first_notice(volume: VoxelVolume, cutter: Cutter, motion: Motion, file: st
     first, second, third, fourth = (rotation * turn.inv()).as_quat()
     other = Rotation.from_quat([second, third, fourth, first]) * turn
     inside, by_other = (
-        _inside_mm3(volume, cutter, motion.sweep_m()[0], each) for each in (rotation, other)
+        _share_inside(volume, cutter, motion.sweep_m()[0], each.as_matrix())
+        for each in (rotation, other)
     )
     if inside <= MUCH_MORE * by_other:
         return None
     return (
-        f"the tool starts with {inside:.3g} mm3 inside the bone. With its quaternions read as "
-        f"(w, x, y, z) it would be {by_other:.3g} mm3: their order is (x, y, z, w), so swap the "
-        f"columns of {file} if w comes first"
+        f"the tool starts with {inside:.0%} of its surface inside the bone. With its quaternions "
+        f"read as (w, x, y, z) it would be {by_other:.0%}: their order is (x, y, z, w), so swap "
+        f"the columns of {file} if w comes first"
     )
-
-
-def _inside_mm3(volume: VoxelVolume, cutter: Cutter, tip_m: Array, rotation: Rotation) -> float:
-    """Return the volume of bone inside the cutter at a pose [mm3], from voxel centres."""
-    spacing_m = volume.spacing_m
-    far_m = np.hypot(cutter.profile.radius_m, np.abs(cutter.profile.height_range_m).max())
-    middle = (tip_m - volume.origin_m) / spacing_m
-    first = np.clip(np.floor(middle - far_m / spacing_m).astype(int), 0, volume.shape)
-    last = np.clip(np.ceil(middle + far_m / spacing_m).astype(int), 0, volume.shape)
-    held = volume.fraction[tuple(slice(start, end) for start, end in zip(first, last, strict=True))]
-    filled = np.argwhere(held)
-    if not len(filled):
-        return 0.0
-    centres_m = volume.origin_m + spacing_m * (first + filled + 0.5)
-    x, y, z = rotation.inv().apply(centres_m - tip_m).T
-    distance_m, _ = cutter.profile.distance(np.column_stack([np.hypot(x, y), z]))
-    shares = held[tuple(filled.T)] / FULL
-    return float(1e9 * spacing_m**3 * shares[distance_m < 0.0].sum())
 
 
 def opens_device(scene: Scene) -> bool:

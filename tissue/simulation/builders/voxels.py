@@ -240,7 +240,7 @@ def _require_memory(region: Corners, bone: Corners, spacing: float) -> None:
             "voxels.spacing_mm",
             f"fit the bone into the free memory of {free / 1e9:.1f} GB",
             f"{spacing * 1e3:g}, which needs {needed(spacing) / 1e9:.1f} GB",
-            f"use {round(fits * 1e3, 2):g}",
+            f"use a spacing such as {round(fits * 1e3, 2):g}",
         )
 
 

@@ -17,13 +17,11 @@ from meshes.base.errors import InputError
 from meshes.voxels.volume import FULL
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.motion.motion import Events
-from tissue.motion.quaternion import Quaternion, Triple
 from tissue.scene.scene import Scene
 from tissue.simulation.builders.parts import Parts, opens_device
 from tissue.simulation.live.shared import AnyArray, Layout
-from tissue.simulation.live.window import Clock, WindowProcess, push
+from tissue.simulation.live.window import WindowProcess
 from tissue.simulation.observer import LOOK_TICKS
-from tissue.simulation.run import DEADLINE_US
 from tissue.simulation.simulate import RunObserver
 
 ROS2_PACKAGES = ("rclpy", "geometry_msgs")
@@ -78,28 +76,16 @@ class Publisher(RunObserver):
         self._scene = scene
         self._process: Any = None
         self._failed: Events = []
-        self._missed = 0
-        self._skipped_us = 0.0
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Start the process that publishes."""
         self._process = PublishingProcess(self._scene, parts, columns)
 
-    def _clock(self, times: Array) -> Clock:
-        """Return duration and lateness of a tick [µs], missed deadlines and skipped time [ms].
-
-        The last two columns of the timing must be the lateness of a tick and the skipped time [µs].
-        """
-        tick_us, late_us, skipped_us = times[[0, -2, -1]].tolist()
-        self._missed += tick_us + late_us > DEADLINE_US
-        self._skipped_us += skipped_us
-        return tick_us, late_us, float(self._missed), 1e-3 * self._skipped_us
-
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
         """Publish the tick; return True if the run continues."""
         if self._process is None:
             return True
-        self._process.show(index, row, self._clock(times))
+        self._process.show(index, row, times)
         if index % LOOK_TICKS == 0 and (words := self._process.failed()) is not None:
             with_run = ", and the run ended with it" * self.ends_run
             self._failed.append((float(row[0]), f"{self.what} ended by itself{with_run}: {words}"))
@@ -203,6 +189,7 @@ class SlicerProcess(WindowProcess):
     process = "slicer"
     place = "must publish the run for 3D Slicer"
     remedy = "fix that, or run without --slicer"
+    request = "target"
 
     def __init__(
         self,
@@ -221,16 +208,14 @@ class SlicerProcess(WindowProcess):
         start: dict[str, AnyArray] = {
             "port": np.array(link.port),
             "start_turn": parts.motion.rotations()[0],
+            "drives": np.array(link.drives),
         }
-        start["drives"] = np.array(link.drives)
         if parts.placement is not None:
             start["file_to_scene_mm"] = parts.placement.file_to_scene_mm
         if (volume := parts.volume) is not None:
             density = volume.density_kg_m3 * (volume.fraction / FULL)
             start["density_kg_m3"] = np.rint(density).astype(np.uint16)
         super().__init__(scene, parts, columns, more_layout=layout, more_start=start)
-        self._target_turn = self.arrays["target_turn"]
-        self._taken = 0
         self._events = self.arrays["events"]
         self._events_count = self.arrays["events_count"]
         self._ignored = (
@@ -238,21 +223,6 @@ class SlicerProcess(WindowProcess):
             if link.drives
             else "need --slicer-drives"
         )
-
-    def target(self) -> tuple[Triple, Quaternion] | None:
-        """Return the tool position [m] and rotation that a client requests; None without a request.
-
-        A request is returned only once.
-
-        The rotation is relative to the first orientation of the tool.
-        """
-        if int(self._target_turn[0]) == self._taken or (read := self.arrays.read("target")) is None:
-            return None
-        turn, values = read
-        # The counter increases before and after each write; see `SharedArrays.read`.
-        self._taken = 2 * turn
-        x, y, z, a, b, c, d = values.tolist()
-        return (1e-3 * x, 1e-3 * y, 1e-3 * z), (a, b, c, d)
 
     def report(self, what: str) -> None:
         """Send a sentence to the client."""
@@ -299,18 +269,14 @@ class SlicerPublisher(Publisher):
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Start the process that publishes, and report its address."""
-        self._start = parts.motion.sweep_m()[0]
         self._process = SlicerProcess(self._scene, parts, columns, self._link)
         if self._link.opened is not None:
             self._link.opened(self._process.address)
 
     def before_tick(self, index: int) -> None:
         """Apply the tool pose that a client requests."""
-        if self._mouse is None or self._process is None:
-            return
-        wanted = self._process.target()
-        if wanted is not None:
-            push(self._mouse, wanted[0], self._start, self._scene.motion_scale, turn=wanted[1])
+        if self._mouse is not None and self._process is not None:
+            self._process.steer(self._mouse)
 
     def on_event(self, time_s: float, what: str) -> None:
         """Publish an event."""

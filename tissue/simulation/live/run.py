@@ -9,8 +9,6 @@ from time import perf_counter, sleep
 from types import FrameType
 from typing import Unpack
 
-import numpy as np
-
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from tissue.haptics.device.recorded import MouseDevice
@@ -26,13 +24,13 @@ from tissue.simulation.live.publisher import (
     require_link,
     require_ros2,
 )
-from tissue.simulation.live.window import Page, WindowProcess, push, require_web
+from tissue.simulation.live.window import Page, WindowProcess, require_web
 from tissue.simulation.observer import (
     LOOK_TICKS,
     Paced,
     Prioritised,
 )
-from tissue.simulation.run import DEADLINE_US, Run
+from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S, RunSettings, simulate
 from tissue.system.child import process_module
 from tissue.system.offscreen import await_display, display_problem
@@ -264,17 +262,14 @@ class LiveObserver(Paced):
         self.reset = False
         self._window: WindowProcess | None = None
         self._stopped = False
-        self._missed = 0
         self._events: Events = []
         self._handler: Callable[[int, FrameType | None], object] | int | None = None
         self._frames = -1
         self._drawn_s = 0.0
-        self._start = np.zeros(3)
 
     def on_begin(self, parts: Parts, columns: tuple[str, ...]) -> None:
         """Open the window, and make Ctrl-C end the run after the current tick."""
         if self._mouse is not None:
-            self._start = parts.motion.sweep_m()[0]
             show = WindowProcess if self._page is None else self._page.show
             self._window = show(self._scene, parts, columns)
         if threading.current_thread() is threading.main_thread():
@@ -292,24 +287,18 @@ class LiveObserver(Paced):
                 self._hold(self._window, index)
         super().before_tick(index)
         if self._window is not None and self._mouse is not None:
-            pointed = self._window.pointed_m()
-            if pointed is not None:
-                push(self._mouse, pointed, self._start, self._scene.motion_scale)
+            self._window.steer(self._mouse)
 
     def on_tick(self, index: int, row: Array, times: Array) -> bool:
         """Record the lateness of a tick and show the tick; return True if the run continues."""
-        late = 1e6 * self._clock.late_s
-        skipped = 1e6 * self._clock.skipped_s
-        times[-2:] = late, skipped
-        self._missed += times[0] + late > DEADLINE_US
-        time_s = float(row[0])
+        times[-2:] = 1e6 * self._clock.late_s, 1e6 * self._clock.skipped_s
         window = self._window
         if window is None:
             return not self._stopped
-        window.show(index, row, (float(times[0]), late, float(self._missed), 1e3 * self._skipped_s))
+        window.show(index, row, times)
         if index % LOOK_TICKS == 0 and (words := window.failed()) is not None:
             what = f"the window ended unexpectedly, and the run ended with it: {words}"
-            self._events.append((time_s, what))
+            self._events.append((float(row[0]), what))
             self._stopped = True
         ends = self._stopped or window.closed
         self.reset = window.reset and not ends

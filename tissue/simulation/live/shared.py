@@ -1,11 +1,9 @@
 """Arrays with which the process of a run shares its tissue with the process of the window.
 
-The arrays are in a file. If the system supports it, the file exists only in memory. The update of
+The arrays are in files. If the system supports it, the files exist only in memory. The update of
 the arrays takes some microseconds per tick.
 """
 
-import json
-import mmap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,8 +34,6 @@ TRIES = 20
 
 A write takes some microseconds. If all attempts fail, the writing process has probably ended.
 """
-ALIGNED = 64
-"""Alignment of each array [bytes]: one cache line."""
 TURN_TICKS = 200
 """Number of ticks in which every brick (block of voxels) of a bone is copied once.
 
@@ -66,7 +62,7 @@ The value was chosen for the appearance of the picture. No force depends on it.
 
 
 class SharedArrays:
-    """Named arrays in one memory-mapped file, which two processes use as NumPy arrays.
+    """Named arrays in memory-mapped files, which two processes use as NumPy arrays.
 
     Access to the arrays needs no system call.
 
@@ -76,32 +72,19 @@ class SharedArrays:
     Parameters
     ----------
     folder
-        Folder of the file.
+        Folder of the files, one for each array.
     layout
-        Arrays to make, initially zero. The process that makes the file gives the layout. The other
-        process passes None and reads the layout from the folder.
+        Arrays to make, initially zero. The process that makes the files gives the layout. The other
+        process passes None and opens all arrays in the folder.
     """
 
     def __init__(self, folder: Path, layout: Layout | None = None) -> None:
-        if layout is not None:
-            (folder / "layout.json").write_text(json.dumps(layout), "utf-8")
-        table: Layout = json.loads((folder / "layout.json").read_text("utf-8"))
-        places = {}
-        end = 0
-        for name, (dtype, shape) in table.items():
-            size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-            places[name] = (end, dtype, tuple(shape))
-            end += -(-size // ALIGNED) * ALIGNED
-        file = folder / "arrays.bin"
-        if layout is not None:
-            with file.open("wb") as made:
-                # An empty file cannot be mapped.
-                made.truncate(max(end, 1))
-        with file.open("r+b") as opened:
-            self._map = mmap.mmap(opened.fileno(), 0)
+        for name, (dtype, shape) in (layout or {}).items():
+            np.lib.format.open_memmap(folder / f"{name}.npy", "w+", dtype, shape)
+        # Access to a plain array takes less time than access to a `numpy.memmap`.
         self._arrays: dict[str, AnyArray] = {
-            name: np.ndarray(shape, dtype, buffer=self._map, offset=first)
-            for name, (first, dtype, shape) in places.items()
+            file.stem: np.load(file, mmap_mode="r+").view(np.ndarray)
+            for file in folder.glob("*.npy")
         }
 
     def __contains__(self, name: str) -> bool:

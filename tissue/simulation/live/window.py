@@ -16,7 +16,7 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.extras import install_command
 from tissue.haptics.device.recorded import MouseDevice
-from tissue.motion.quaternion import UPRIGHT, Quaternion, Triple
+from tissue.motion.quaternion import UPRIGHT
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
 from tissue.simulation.builders.parts import Parts
@@ -28,6 +28,7 @@ from tissue.simulation.live.shared import (
     SharedTissue,
     shared_tissue,
 )
+from tissue.simulation.run import DEADLINE_US
 from tissue.simulation.trace import components
 from tissue.system.child import await_ready, child_command, process_module
 from tissue.system.offscreen import REMEDY, drawing_environments
@@ -68,8 +69,6 @@ This distance limits how far a probe can be pressed beyond the path. For a cutti
 ``voxels.margin_mm`` is used instead. `ABOVE_M` limits how far a tool can be withdrawn above the
 path.
 """
-Clock = tuple[float, float, float, float]
-"""Type of the values of `CLOCK`."""
 
 
 def reach_m(scene: Scene, parts: Parts) -> tuple[Array, Array]:
@@ -82,22 +81,6 @@ def reach_m(scene: Scene, parts: Parts) -> tuple[Array, Array]:
     below_m = 1e-3 * scene.voxels.margin_mm if isinstance(scene.tool, Tool) else BELOW_M
     points = np.concatenate([path + ABOVE_M * axis, path - below_m * axis])
     return points.min(axis=0), points.max(axis=0)
-
-
-def push(
-    mouse: MouseDevice,
-    pointed_m: Triple,
-    start_m: Array,
-    scale: float,
-    *,
-    turn: Quaternion = UPRIGHT,
-) -> None:
-    """Move a mouse device so that the tool moves to the position ``pointed_m`` [m].
-
-    The tool moves `scale` times as far as the mouse.
-    """
-    x, y, z = (start_m + (np.array(pointed_m) - start_m) / scale).tolist()
-    mouse.push((x, y, z), turn)
 
 
 class WindowProcess:
@@ -138,6 +121,11 @@ class WindowProcess:
     remedy = "fix the display, or unset DISPLAY to run without a window"
     shows_tissue = True
     """True if the process receives the changes of the tissue."""
+    request = "pointer"
+    """Name of the shared array with the pose to which the process requests to move the tool.
+
+    The array contains the position of the tip [mm] and, optionally, a quaternion (x, y, z, w).
+    """
 
     def __init__(
         self,
@@ -162,6 +150,10 @@ class WindowProcess:
         }
         self.arrays = SharedArrays(self._folder, layout | self._shared.layout | (more_layout or {}))
         self._row = np.zeros(len(columns) + len(CLOCK))
+        self._missed = 0
+        self._skipped_ms = 0.0
+        self._start_mm = 1e3 * parts.motion.sweep_m()[0]
+        self._scale = scene.motion_scale
         self._load = np.array([columns.index(name) for name in LOAD], dtype=np.intp)
         self._seen = 0
         self._reset = 0
@@ -173,7 +165,7 @@ class WindowProcess:
         start: dict[str, AnyArray] = {
             "low_m": low_m,
             "high_m": high_m,
-            "start_m": parts.motion.sweep_m()[0],
+            "start_m": 1e-3 * self._start_mm,
             "axis": parts.motion.rotations()[0][:, 2],
             "layer_names": np.array(parts.tissue.layer_names),
             **self._shared.start,
@@ -237,29 +229,43 @@ class WindowProcess:
         self._shared.publish(self.arrays, 0)
         self._reset = self._count("resets")
         self._seen = self._count("pointer_turn")
+        self._missed = 0
+        self._skipped_ms = 0.0
         self.arrays["runs"][0] += 1
 
     def failed(self) -> str | None:
         """Return the last output of a process that ended unexpectedly, or None."""
         return self._last_words() if self._child.poll() is not None and not self.closed else None
 
-    def pointed_m(self) -> tuple[float, float, float] | None:
-        """Return the tool position that the pointer requests [m]; None without a new request."""
-        if (
-            self._count("pointer_turn") == self._seen
-            or (pointed := self.arrays.read("pointer")) is None
-        ):
-            return None
-        turn, (x, y, z) = pointed
-        # The counter increases before and after each write; see `SharedArrays.read`.
-        self._seen = 2 * turn
-        return 1e-3 * float(x), 1e-3 * float(y), 1e-3 * float(z)
+    def steer(self, mouse: MouseDevice) -> None:
+        """Move a mouse device so that the tool moves to the pose that the process requests.
 
-    def show(self, index: int, row: Array, clock: tuple[float, float, float, float]) -> None:
-        """Send the trace row and the clock values (see `CLOCK`) of a tick to the window."""
+        The tool moves as far as the mouse, multiplied by the motion scale of the scene. Without a
+        new request, the mouse stays at its place.
+        """
+        is_new = self._count(f"{self.request}_turn") != self._seen
+        if not is_new or (message := self.arrays.read(self.request)) is None:
+            return
+        writes, pose = message
+        # The counter increases before and after each write; see `SharedArrays.read`.
+        self._seen = 2 * writes
+        away_mm = pose[:3] - self._start_mm
+        x, y, z = (1e-3 * (self._start_mm + away_mm / self._scale)).tolist()
+        mouse.push((x, y, z), tuple(pose[3:].tolist()) or UPRIGHT)
+
+    def show(self, index: int, row: Array, times: Array) -> None:
+        """Send the trace row and the clock values (see `CLOCK`) of a tick to the window.
+
+        `times` is the timing row of the tick. Its last two columns must be the lateness of the tick
+        and the skipped time [µs].
+        """
+        tick_us = float(times[0])
+        late_us = float(times[-2])
+        self._missed += tick_us + late_us > DEADLINE_US
+        self._skipped_ms += 1e-3 * float(times[-1])
         if index % ROW_TICKS == 0:
             self._row[: len(row)] = row
-            self._row[len(row) :] = clock
+            self._row[len(row) :] = tick_us, late_us, self._missed, self._skipped_ms
             self.arrays.write("row", self._row)
             count = self.arrays["loads_count"]
             np.take(row, self._load, out=self.arrays["loads"][count[0] % LOADS])

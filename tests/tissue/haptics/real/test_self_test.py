@@ -11,7 +11,15 @@ import pytest
 
 from tissue.haptics.device.device import device_parameters
 from tissue.haptics.real.adapter import HardwareSample
-from tissue.haptics.real.self_test import BUMP_N, BUMP_S, SelfTest, bump, self_test, write_measured
+from tissue.haptics.real.self_test import (
+    BUMP_N,
+    BUMP_S,
+    SelfTest,
+    Spread,
+    bump,
+    self_test,
+    write_measured,
+)
 from tissue.materials.scene_constants import Materials
 
 
@@ -66,21 +74,17 @@ def test_a_steady_device_is_measured_exactly():
     assert found.samples == pytest.approx(1000, abs=1) and found.rate_Hz == pytest.approx(
         500.0, rel=1e-3
     )
-    assert found.interval_99_s == pytest.approx(
-        2e-3, abs=2e-4
-    ) and found.longest_s == pytest.approx(2e-3, abs=2e-4)
-    assert found.call_s == pytest.approx(4e-5, rel=1e-6) == found.delay_s and math.isnan(
-        found.round_trip_s
-    )
+    assert found.interval.most_s == pytest.approx(2e-3, abs=2e-4)
+    assert found.longest_s == pytest.approx(2e-3, abs=2e-4)
+    assert found.delay == found.call and found.call.median_s == pytest.approx(4e-5, rel=1e-6)
+    assert math.isnan(found.round_trip.median_s)
     assert not np.any(device.wrenches)  # nothing but zero is commanded
     assert np.diff(device.pushed_at).mean() == pytest.approx(1e-3, rel=0.1)  # each tick
 
 
 def test_the_round_trip_of_a_device_that_shows_it_is_its_latency():
     found = measured(Clocked(trip_s=0.004))
-    assert (found.round_trip_s, found.round_trip_99_s, found.delay_s, found.delay_99_s) == (
-        0.004,
-    ) * 4
+    assert found.round_trip == found.delay == (0.004, 0.004)
 
 
 def test_a_push_rises_and_falls_and_ends_at_zero():
@@ -117,13 +121,10 @@ SLOW = SelfTest(
     seconds=2.0,
     samples=400,
     rate_Hz=200.0,
-    interval_s=5e-3,
-    interval_99_s=8e-3,
+    interval=Spread(5e-3, 8e-3),
     longest_s=0.02,
-    call_s=5e-5,
-    call_99_s=1e-4,
-    round_trip_s=0.006,
-    round_trip_99_s=0.009,
+    call=Spread(5e-5, 1e-4),
+    round_trip=Spread(0.006, 0.009),
 )
 
 
@@ -131,12 +132,12 @@ SLOW = SelfTest(
     ("changes", "rate", "delay"),
     [
         # our ticks are no faster
-        ({"rate_Hz": 4000.0, "interval_99_s": 3e-4}, (1000.0, [1000.0, 1000.0]), 0.006),
+        ({"rate_Hz": 4000.0, "interval": Spread(2.5e-4, 3e-4)}, (1000.0, [1000.0, 1000.0]), 0.006),
         # a sample nearly every tick
-        ({"rate_Hz": 993.0, "interval_99_s": 1.25e-3}, (1000.0, [800.0, 1000.0]), 0.006),
-        ({"rate_Hz": 2.0, "interval_99_s": 0.6}, (10.0, [10.0, 10.0]), 0.006),
-        ({"round_trip_s": 0.5, "round_trip_99_s": 0.9}, (200.0, [125.0, 200.0]), 0.2),
-        ({"round_trip_s": math.nan, "round_trip_99_s": math.nan}, (200.0, [125.0, 200.0]), 5e-5),
+        ({"rate_Hz": 993.0, "interval": Spread(1e-3, 1.25e-3)}, (1000.0, [800.0, 1000.0]), 0.006),
+        ({"rate_Hz": 2.0, "interval": Spread(0.5, 0.6)}, (10.0, [10.0, 10.0]), 0.006),
+        ({"round_trip": Spread(0.5, 0.9)}, (200.0, [125.0, 200.0]), 0.2),
+        ({"round_trip": Spread(math.nan, math.nan)}, (200.0, [125.0, 200.0]), 5e-5),
     ],
 )
 def test_what_was_measured_is_brought_within_what_a_device_may_have(tmp_path, changes, rate, delay):

@@ -56,7 +56,7 @@ def test_legend_and_title_of_a_section_name_what_is_drawn(run, tmp_path):
     assert layers and [each for each in labels if each.startswith("removed")] == layers
     draw_section(run, tmp_path / "section.svg")
     title = (tmp_path / "section.svg").read_text()
-    assert "section at" in title and "through the deepest point in contact" in title
+    assert "section at" in title and "in the plane of the deepest contact so far" in title
 
 
 def test_each_depth_is_drawn_once_and_up_to_the_deepest():

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
@@ -23,6 +24,41 @@ def test_press_of_a_needle_has_a_colour_for_each_point(depth_mm, tmp_path, monke
     assert organ_pictures.draw_press(run, tmp_path / "press.png") is None
     for surface, _ in made:
         assert len(surface.point_data["colours"]) == surface.n_points
+
+
+TOP_MM = (2.5, 0.0, 4.3301)
+DEEP_MM = (-15.0, 0.0, -25.9808)
+ALONG = (0.5, 0.0, 0.8660254)
+"""Path of a needle at 30 degrees to the vertical, and its direction from tip to shank."""
+
+
+def oblique_run(**changes):
+    """Run of a needle along an oblique path."""
+    path = {"motion.points_mm": [TOP_MM, DEEP_MM], "motion.feed_mm_s": 100.0}
+    return simulate(load_scene("needle", path | changes))
+
+
+def test_insertion_of_an_oblique_needle_shows_the_force_along_its_axis(tmp_path, monkeypatch):
+    charts = []
+    monkeypatch.setattr(force_depth, "save", lambda chart, path: charts.append(chart))
+    run = oblique_run(**{"motion.axis": ALONG, "anatomy.interval_ms": 0.0})
+    force_depth.draw_insertion(run, tmp_path / "insertion.png")
+    lines = {line.get_label(): line.get_ydata() for line in charts[0].axes[1].lines}
+    parts = sum(run.trace[name] for name in ("elastic_N", "cutting_N", "friction_N"))
+    np.testing.assert_allclose(lines["all together"], parts, atol=1e-9)
+    assert parts.max() > 1.0 and "axis" not in run.parts.notes
+
+
+def test_needle_whose_path_is_not_along_its_axis_is_noted_and_drawn():
+    """The block follows the needle that enters where the path meets the surface."""
+    run = oblique_run(**{"anatomy.interval_ms": 60.0})
+    assert "at 30 degrees" in run.parts.notes["axis"]
+    assert "set motion.axis = [0.5, 0, 0.866]" in run.parts.notes["axis"]
+    assert any("sideways" in what for _, what in run.events)
+    frame, _ = organ_pictures.moment_of_press(run.parts.fields, run.trace)
+    largest = np.linalg.norm(frame.points["displacement_mm"], axis=1).max()
+    row = int(np.searchsorted(run.trace["time_s"], frame.time_s - 1e-9))
+    assert largest == pytest.approx(run.trace["deflection_mm"][row], rel=1e-3)
 
 
 def test_picture_that_fails_leaves_the_other_files(tmp_path, monkeypatch):

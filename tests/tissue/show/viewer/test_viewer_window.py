@@ -89,8 +89,8 @@ def test_a_tool_has_its_tip_at_the_origin(tool, box):
     [
         ({"field": "heat"}, "field .*got heat"),
         ({"hide": ("gum",)}, "hide .*got gum"),
-        ({"time_s": 9.0}, "time_s .*got 9.*. Use 1$"),
-        ({"time_s": -1.0}, "time_s .*got -1.*. Use 0$"),
+        ({"time_s": 9.0}, "time_s .*got 9.*. Use a time such as 1$"),
+        ({"time_s": -1.0}, "time_s .*got -1.*. Use a time such as 0$"),
         ({"time_s": float("nan")}, "time_s .*got nan"),
         ({"scale": -2.0}, "scale .*got -2"),
         ({"scale": float("nan")}, "scale .*got nan"),
