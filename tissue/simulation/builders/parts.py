@@ -157,8 +157,13 @@ def motion_of(scene: Scene) -> Motion:
     return read_replay(Path(motion.file))
 
 
-def reach(
-    cutter: Cutter, motion: Motion, margin: float, *, guide_hole: Shape | None = None
+def reach(cutter: Cutter, motion: Motion, margin: float) -> Corners:
+    """Return a box around all positions of the cutting surface, with a margin [m]."""
+    return swept_box(cutter.coarse_shell_m(), motion, margin)
+
+
+def reach_of_tool(
+    cutter: Cutter, motion: Motion, margin: float, *, guide_hole: Shape | None
 ) -> Corners:
     """Return a box around all positions of the tool that can touch bone, with a margin [m].
 

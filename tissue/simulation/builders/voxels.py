@@ -42,7 +42,13 @@ from tissue.scene.anatomy import (
     VertebraAnatomy,
 )
 from tissue.scene.scene import Scene
-from tissue.simulation.builders.parts import FILE_WORDS, Corners, box_text, reach, require_whole
+from tissue.simulation.builders.parts import (
+    FILE_WORDS,
+    Corners,
+    box_text,
+    reach_of_tool,
+    require_whole,
+)
 
 if TYPE_CHECKING:
     from meshes.surfaces.site import Site
@@ -69,7 +75,7 @@ def volume_of(
     parameters = scene.bone
     hole = _guide_hole(scene, motion)
     # A hand can press the peg against the hole, so the region contains all of the peg.
-    region = reach(
+    region = reach_of_tool(
         cutter,
         motion,
         scene.voxels.margin_mm * 1e-3,
