@@ -4,7 +4,7 @@ The tool is the union of its largest inscribed balls. If the centre of a ball li
 the depth of the ball is its radius plus the depth of its centre. The centres of all balls form the
 tool's medial axis, which is divided into cells. A cell is a part of a segment of the medial axis in
 the tool's half section, rotated around the tool's axis by a range of angles. A branch-and-bound
-search over the cells finds the deepest ball, with an error of at most `DEPTH_TOLERANCE_M`, unless
+search over the cells finds the deepest ball. The error is at most `MedialAxis.tolerance`, unless
 the search is long (`kernels.tool_distance.widened`).
 """
 
@@ -14,8 +14,6 @@ from kernels.arrays import Int32s, Vectors
 from kernels.constants import HALF, ONE, TWO, ZERO
 from kernels.tool_distance import nearest_on_triangle, widened
 
-DEPTH_TOLERANCE_M = wp.float64(3.0e-6)
-"""Largest accepted difference [m] between the smallest signed distance and its lower bound."""
 CELLS = 128
 """Number of rows of the search stack.
 
@@ -58,6 +56,8 @@ class MedialAxis:
     ends: Vectors
     across: Int32s  # [segment] 1 if centres outside the structure also count
     slack: wp.float64  # largest distance by which true balls may exceed these balls [m]
+    # largest accepted difference between the smallest signed distance and its lower bound [m]
+    tolerance: wp.float64
 
 
 @wp.struct
@@ -208,13 +208,14 @@ def cell_bounds(
     reach = OUTSIDE_SIZES * size + wp.max(signed, ZERO)
     outside = foot + reach * normal
     clear, _foot, _face = nearest_on_surface(mesh, outside)
-    if is_in_structure(mesh, outside):
-        clear = -clear
     from_outside = wp.float64(1.0e9)
     for k in range(HULL):
         corner, radius = hull_corner(motion, start, end, angle, half_angle, k)
         from_outside = wp.min(from_outside, clear - wp.length(corner - outside) - radius)
-    return wp.max(lower, from_outside), upper, signed
+    # The sign takes far more time than the distance, and a point inside gives a lower bound.
+    if from_outside > lower and not is_in_structure(mesh, outside):
+        lower = from_outside
+    return lower, upper, signed
 
 
 @wp.func
@@ -250,7 +251,7 @@ def over_balls(
         long = wp.sqrt(along[0] * along[0] + along[1] * along[1])
         middle = start + HALF * along
         moved = wp.length(middle - last_middle)
-        wanted = smallest - DEPTH_TOLERANCE_M
+        wanted = smallest - medial.tolerance
         lower, upper, signed = cell_bounds(mesh, motion, medial, root, whole, moved, wanted)
         last_middle = middle
         whole.bound = lower
@@ -264,7 +265,7 @@ def over_balls(
         while held > 0:
             held -= 1
             cell = cells[held]
-            accepted = smallest - widened(DEPTH_TOLERANCE_M, count, DOUBLING)
+            accepted = smallest - widened(medial.tolerance, count, DOUBLING)
             if cell.bound >= accepted or held + 2 > CELLS:
                 lowest = wp.min(lowest, cell.bound - medial.slack)
                 continue
@@ -287,7 +288,7 @@ def over_balls(
                     part.last = split
                 else:
                     part.first = split
-                wanted = smallest - DEPTH_TOLERANCE_M
+                wanted = smallest - medial.tolerance
                 lower, upper, signed = cell_bounds(mesh, motion, medial, root, part, moved, wanted)
                 part.bound = wp.max(lower, cell.bound)
                 part.distance = signed

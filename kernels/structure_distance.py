@@ -26,6 +26,8 @@ Consider a 3.2 mm drill on the axis of a tube. For a tube of 51,000 triangles, t
 mm, and a tick takes 3 ms. For 205,000 triangles, the error is 0.13 mm, and a tick takes 9 ms. With
 a value of 2,000 instead, the latter error is 0.48 mm, and the tick takes 4 ms.
 """
+DEEP_M = wp.float64(1.0e-3)
+"""Depth of the structure's surface in the tool [m] above which an overlap counts as deep."""
 LEAF = 4
 """Number of triangles in a leaf of the tree, equal to `meshes.surfaces.box_tree.LEAF`."""
 
@@ -201,6 +203,7 @@ def distance_to_structure(
     # rows: tip [m]; tool axes x, y, z, in the structure's frame
     motion: Vectors,
     medial: MedialAxis,
+    deep: MedialAxis,  # used for deep overlaps
     # scratch arrays
     last_leaf_out: Int32s,
     nodes_out: Int32s,
@@ -220,7 +223,10 @@ def distance_to_structure(
     if smallest < ZERO or first_ball_inside(mesh, motion, medial):
         # The surfaces touch, or the whole tool is inside. Compute how deep the balls of the tool
         # lie in the structure.
-        smallest = over_balls(mesh, motion, medial, smallest, last_segment_out, cells_out)
+        if smallest < -DEEP_M:
+            smallest = over_balls(mesh, motion, deep, smallest, last_segment_out, cells_out)
+        else:
+            smallest = over_balls(mesh, motion, medial, smallest, last_segment_out, cells_out)
     distance_out[0] = smallest
 
 
