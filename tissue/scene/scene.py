@@ -337,18 +337,11 @@ class Scene(Part):
     def _cutter_fits(self, tool: Tool, anatomy: CutAnatomy) -> None:
         hole, depth = anatomy.guide_hole_mm
         peg, length = tool.peg_mm
-        # A hand can stop where the peg touches the bottom of the hole.
-        travel = 0.0
-        if self.device is None and isinstance(self.motion, PathMotion):
-            x, y, z = self.motion.axis
-            lowest = min(x * a + y * b + z * c for a, b, c in self.motion.points_mm)
-            travel = max(-lowest / math.hypot(x, y, z), 0.0)
-        # 1e-6 mm: rounding of the travel along an oblique axis.
-        if peg > 0.0 and (hole < peg or depth < length + travel - 1e-6):
+        if peg > 0.0 and (hole < peg or depth < length):
             raise InputError(
                 "tool.peg_diameter_mm",
                 f"fit the guide hole ({hole:g} mm wide, {depth:g} mm deep)",
-                f"a peg of {peg:g} x {length:g} mm, which the path moves {travel:g} mm deep",
+                f"a peg of {peg:g} x {length:g} mm",
                 (
                     "widen or deepen the hole by anatomy.guide_hole_diameter_mm and "
                     "anatomy.guide_hole_depth_mm"
