@@ -13,11 +13,13 @@ from kernels.cache_check import remove_damaged
 
 
 def _start() -> None:
-    """Start Warp, and suppress its start message and its warning about a missing GPU.
+    """Set the options of Warp, and start Warp without its start message and its GPU warning.
 
     Warp's messages are not needed, because each simulation run reports its device.
     """
     wp.config.log_level = wp.LOG_WARNING
+    # No kernel is differentiated.
+    wp.config.enable_backward = False
     sys.stderr.flush()
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:

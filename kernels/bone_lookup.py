@@ -12,8 +12,7 @@ is then -2 inside and 2 outside. Lengths are in voxels.
 
 import warp as wp
 
-from kernels.arrays import Int32s3D, Shorts2D, Words2D
-from kernels.bricks import cell_of, corner8f, corner8i, corners_of, density_of, layer_of
+from kernels.bricks import Bricks, cell_of, corner8f, corner8i, corners_of, density_of, layer_of
 
 SURFACE_STEPS = 63
 """Number of stored steps per voxel of surface distance. A stored distance is an 8-bit integer.
@@ -27,12 +26,12 @@ A brick is a block of 8 x 8 x 8 voxels. The assumed distance is the larger of th
 one voxel, where d is the distance at a neighbouring voxel. The limit is half a voxel. This is the
 true distance next to a grid whose outermost voxels are full.
 """
-CORNERS = wp.constant(8)
+CORNERS = 8
 # stored surface distance of 1.78 voxels inside: all corners of a cell lie inside the bone
-DEEP = wp.constant(128 - 112)
-AIR = wp.constant(128 + 112)  # 1.78 voxels outside: no corner lies in bone
+DEEP = 128 - 112
+AIR = 128 + 112  # 1.78 voxels outside: no corner lies in bone
 # stored boundary distance of 1.78 voxels: all corners of a cell lie in one layer
-FAR = wp.constant(226)
+FAR = 226
 
 
 @wp.struct
@@ -47,9 +46,7 @@ class Bone:
 
 @wp.func
 def bone_at(
-    brick_of: Int32s3D,
-    material: Words2D,
-    nearby: Shorts2D,
+    bricks: Bricks,
     row: int,
     column: int,
     point: wp.vec3,
@@ -58,8 +55,8 @@ def bone_at(
 
     The point lies in voxel ``column`` of the brick that is stored in ``row``.
     """
-    word = material[row, column]
-    near = int(nearby[row, column])
+    word = bricks.material[row, column]
+    near = int(bricks.nearby[row, column])
     found = Bone()
     found.distance = -2.0
     found.layer = layer_of(word)
@@ -68,14 +65,14 @@ def bone_at(
         found.distance = 2.0
     elif (near & 255) > DEEP or (near >> 8) < FAR:
         cell = cell_of(point)
-        corners = corners_of(brick_of, cell, row)
+        corners = corners_of(bricks.brick_of, cell, row)
         # No change of layer (255), and a surface distance one voxel (63 steps) farther out.
         beyond = 0xFF00 | wp.clamp((near & 255) + 63, BEYOND, 254)
         stored = corner8i()
         for c in range(CORNERS):
             stored[c] = beyond
             if corners.row[c] >= 0:
-                stored[c] = int(nearby[corners.row[c], corners.column[c]])
+                stored[c] = int(bricks.nearby[corners.row[c], corners.column[c]])
         found = distance_between(stored, cell.inside, found)
         if (near >> 8) < FAR:
             words = corner8i()
@@ -83,7 +80,7 @@ def bone_at(
             for c in range(CORNERS):
                 words[c] = -1
                 if corners.row[c] >= 0:
-                    words[c] = int(material[corners.row[c], corners.column[c]])
+                    words[c] = int(bricks.material[corners.row[c], corners.column[c]])
                     if (words[c] & 255) != found.layer:
                         mixed = 1
             if mixed == 1:

@@ -1,4 +1,4 @@
-"""Storage of voxels in bricks, access to these voxels, and interpolation between voxel centres.
+"""Storage of voxels in bricks, access to these voxels, and the volume of a cut voxel.
 
 A voxel grid is divided into bricks of 8 x 8 x 8 voxels. Only bricks that hold material are stored.
 ``brick_of`` maps a brick's grid position to the brick's row in the stored arrays, or to -1 if the
@@ -12,7 +12,7 @@ and the lowest 8 bits hold the index of the layer.
 
 import warp as wp
 
-from kernels.arrays import Int32s3D, Shorts2D
+from kernels.arrays import Bits, Bytes, Int32s3D, Shorts2D, Words2D
 
 BRICK = 8
 """Number of voxels along the edge of a brick, equal to `meshes.base.grid.BLOCK`.
@@ -26,6 +26,22 @@ FULL = 65535
 """Stored value of a voxel that is wholly filled."""
 LOST, REACHED = 1, 2
 """Flags of a brick: LOST if material was removed, REACHED if a tool may have changed the brick."""
+
+
+@wp.struct
+class Bricks:
+    """Voxels of a bone. All arrays except ``brick_of`` have one row for each stored brick."""
+
+    brick_of: Int32s3D  # [brick x, y, z], row of the brick or -1
+    material: Words2D
+    # distance to the original surface and to the nearest layer boundary, see `kernels.bone_lookup`
+    nearby: Shorts2D
+    remaining: Shorts2D
+    swept: Shorts2D  # distance to the volume that the tool has swept, see `swept_steps`
+    middle: Shorts2D  # distance to the cuts up to the last call of `kernels.carving.book`
+    older: Shorts2D  # distance to older cuts
+    alive: Bits  # one bit for each block of 2 x 2 x 2 voxels that may hold material
+    touched: Bytes  # flags LOST and REACHED
 
 
 @wp.func
@@ -66,22 +82,6 @@ def density_of(word: wp.uint32):
     return int(word >> wp.uint32(16))
 
 
-@wp.func
-def stored(
-    brick_of: Int32s3D,
-    remaining: Shorts2D,
-    ix: int,
-    iy: int,
-    iz: int,
-):
-    """Return the filled fraction in [0, 1] of voxel (ix, iy, iz), or 0 where no brick is stored."""
-    row = voxel_row(brick_of, ix, iy, iz)
-    if row < 0:
-        return float(0.0)
-    # from stored steps, see FULL
-    return float(remaining[row, voxel_column(ix, iy, iz)]) * (1.0 / 65535.0)
-
-
 @wp.struct
 class Cell:
     """Cube between eight neighbouring voxel centres, and a position in this cube."""
@@ -95,14 +95,12 @@ class Cell:
 @wp.func
 def cell_of(point: wp.vec3):
     """Return the cell between voxel centres that contains ``point`` [voxel]."""
-    ux = point[0] - 0.5
-    uy = point[1] - 0.5
-    uz = point[2] - 0.5
+    from_centre = point - wp.vec3(0.5)
     cell = Cell()
-    cell.x = int(wp.floor(ux))
-    cell.y = int(wp.floor(uy))
-    cell.z = int(wp.floor(uz))
-    cell.inside = wp.vec3(ux - float(cell.x), uy - float(cell.y), uz - float(cell.z))
+    cell.x = int(wp.floor(from_centre[0]))
+    cell.y = int(wp.floor(from_centre[1]))
+    cell.z = int(wp.floor(from_centre[2]))
+    cell.inside = from_centre - wp.vec3(float(cell.x), float(cell.y), float(cell.z))
     return cell
 
 
@@ -144,36 +142,6 @@ def corners_of(brick_of: Int32s3D, cell: Cell, row: int):
                 brick_of, cell.x + (c >> 2), cell.y + ((c >> 1) & 1), cell.z + (c & 1)
             )
     return found
-
-
-@wp.func
-def trilinear(
-    brick_of: Int32s3D,
-    remaining: Shorts2D,
-    point: wp.vec3,
-):
-    """Interpolate the filled fraction at ``point`` [voxel] trilinearly between voxel centres."""
-    cell = cell_of(point)
-    x = cell.x
-    y = cell.y
-    z = cell.z
-    fy = cell.inside[1]
-    fz = cell.inside[2]
-    c00 = wp.lerp(
-        stored(brick_of, remaining, x, y, z), stored(brick_of, remaining, x, y, z + 1), fz
-    )
-    c01 = wp.lerp(
-        stored(brick_of, remaining, x, y + 1, z), stored(brick_of, remaining, x, y + 1, z + 1), fz
-    )
-    c10 = wp.lerp(
-        stored(brick_of, remaining, x + 1, y, z), stored(brick_of, remaining, x + 1, y, z + 1), fz
-    )
-    c11 = wp.lerp(
-        stored(brick_of, remaining, x + 1, y + 1, z),
-        stored(brick_of, remaining, x + 1, y + 1, z + 1),
-        fz,
-    )
-    return wp.lerp(wp.lerp(c00, c01, fy), wp.lerp(c10, c11, fy), cell.inside[0])
 
 
 @wp.struct
@@ -244,6 +212,3 @@ def cube_behind_plane(plane: Plane, distance: float):
     else:
         volume = (a - 0.5 * m12) / m3
     return wp.where(whole > 0.5, 1.0 - volume, volume)
-
-
-wp.set_module_options({"enable_backward": False})

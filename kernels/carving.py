@@ -24,11 +24,9 @@ operations are not needed, and the results are the same integers on any number o
 
 import warp as wp
 
-from kernels.arrays import Bits, Bytes, Doubles2D, Int32s3D, Int64s, Int64s2D, Shorts2D, Words2D
-from kernels.bricks import LOST, REACHED, cube_behind_plane, layer_of, plane_of
+from kernels.arrays import Int64s, Int64s2D, Vectors2D
+from kernels.bricks import LOST, REACHED, Bricks, cube_behind_plane, layer_of, plane_of
 from kernels.revolution import EDGE_BEND, Nearest, Revolution, nearest_on, offset_from
-
-wp.set_module_options({"enable_backward": False})
 
 # Number of groups of bricks. It is a power of two, so that a remainder takes one instruction.
 PHASES = 32
@@ -37,8 +35,8 @@ PHASES = 32
 # are not used, because neighbouring bricks must be visited at almost the same pose.
 ALONG_X = 3
 ALONG_Y = 2
-REMAINDER = wp.constant(PHASES - 1)
-OLDER_ROW = wp.constant(1 + PHASES)  # first row of the poses at which cuts became older cuts
+REMAINDER = PHASES - 1
+OLDER_ROW = 1 + PHASES  # first row of the poses at which cuts became older cuts
 # Indices into the plan of a kernel launch.
 FIRST = 0  # first group
 COUNT = 1  # number of groups
@@ -48,37 +46,27 @@ ORIGIN = 4  # group of the first brick
 MOVED = 5  # one bit per group, 1 if its cuts become older cuts
 TURNED = 6  # one bit per group, 1 if this also holds in front of the tool
 PLAN = 7  # number of entries
-BLOCK_REACH = wp.constant(1.7320508)  # half diagonal of a block of 2 voxels [voxel]
-LONGEST_STEP = wp.constant(1.0)  # upper bound of the motion between two visits of a brick [voxel]
-EDGE = wp.constant(float(EDGE_BEND))
+BLOCK_REACH = 1.7320508  # half diagonal of a block of 2 voxels [voxel]
+LONGEST_STEP = 1.0  # upper bound of the motion between two visits of a brick [voxel]
+EDGE = float(EDGE_BEND)
 # Test whether a block lies behind a tool with a radius of 8 voxels: the surface in the middle of
 # the block must face away from the motion by more than the normal turns within the block.
-BEHIND = wp.constant(0.2)
-BRICK_REACH = wp.constant(6.9282032)  # half diagonal of a brick of 8 voxels [voxel]
+BEHIND = 0.2
+BRICK_REACH = 6.9282032  # half diagonal of a brick of 8 voxels [voxel]
 
 
 @wp.kernel
 def carve(
     # tool
     tool: Revolution,
-    # Rows of tip xyz [voxel] and axis xyz. Row 0: present pose. Row 1 + g: pose at the last visit
+    # Rows of tip [voxel] and axis. Row 0: present pose. Row 1 + g: pose at the last visit
     # of group g. Row OLDER_ROW + g: pose at which cuts of group g last became older cuts.
-    pose: Doubles2D,
+    pose: Vectors2D,
     plan: Int64s,  # see FIRST
-    worker_offset: int,
     worker_count: int,
-    # grid
-    brick_of: Int32s3D,
-    material: Words2D,
+    worker_offset: int,
     # out
-    remaining_out: Shorts2D,
-    # distance to the volume that the tool has swept, see `swept_steps`
-    swept_out: Shorts2D,
-    middle_out: Shorts2D,  # distance to the cuts up to the last `book`
-    older_out: Shorts2D,  # distance to older cuts
-    # [brick], one bit for each block of 2 x 2 x 2 voxels that may hold material
-    alive_out: Bits,
-    touched_out: Bytes,  # [brick], flags LOST and REACHED are added
+    bricks_out: Bricks,
     removed_out: Int64s2D,  # [worker, layer], stored steps removed in this launch
 ):
     """Carve the groups of voxel bricks that ``plan`` selects.
@@ -89,7 +77,8 @@ def carve(
     worker = wp.tid() + worker_offset
     for m in range(removed_out.shape[1]):
         removed_out[worker, m] = wp.int64(0)
-    axis = wp.vec3(float(pose[0, 3]), float(pose[0, 4]), float(pose[0, 5]))
+    tip = wp.vec3(pose[0, 0])
+    axis = wp.vec3(pose[0, 1])
     low = wp.vec3i(0, 0, 0)
     high = wp.vec3i(0, 0, 0)
     for c in range(3):
@@ -97,22 +86,21 @@ def carve(
         first = wp.min(tool.low * axis[c], tool.high * axis[c]) - spread
         last = wp.max(tool.low * axis[c], tool.high * axis[c]) + spread
         # 8: edge of a brick [voxel]
-        low[c] = wp.max(int(wp.floor((float(pose[0, c]) + first) / 8.0)), 0)
-        high[c] = wp.min(int(wp.floor((float(pose[0, c]) + last) / 8.0)), brick_of.shape[c] - 1)
+        low[c] = wp.max(int(wp.floor((tip[c] + first) / 8.0)), 0)
+        high[c] = wp.min(int(wp.floor((tip[c] + last) / 8.0)), bricks_out.brick_of.shape[c] - 1)
     columns_y = high[1] - low[1] + 1
     columns = wp.max(high[0] - low[0] + 1, 0) * wp.max(columns_y, 0)
     column = worker
     while column < columns:
-        bx = low[0] + column / columns_y
-        by = low[1] + column % columns_y
+        brick = wp.vec3i(low[0] + column / columns_y, low[1] + column % columns_y, 0)
         column += worker_count
-        before = int(plan[ORIGIN]) + ALONG_X * bx + ALONG_Y * by + low[2]
+        before = int(plan[ORIGIN]) + ALONG_X * brick[0] + ALONG_Y * brick[1] + low[2]
         for visit in range(int(plan[COUNT])):
             # Along z, the distance between two bricks of a group is PHASES bricks.
             group = (int(plan[FIRST]) + visit) & REMAINDER
-            bz = low[2] + ((group - before) & REMAINDER)
-            while bz <= high[2]:
-                row = int(brick_of[bx, by, bz])
+            brick[2] = low[2] + ((group - before) & REMAINDER)
+            while brick[2] <= high[2]:
+                row = int(bricks_out.brick_of[brick[0], brick[1], brick[2]])
                 if row >= 0:
                     carve_brick(
                         tool,
@@ -120,57 +108,42 @@ def carve(
                         plan,
                         axis,
                         group,
-                        bx,
-                        by,
-                        bz,
+                        brick,
                         row,
                         worker,
-                        material,
-                        remaining_out,
-                        swept_out,
-                        middle_out,
-                        older_out,
-                        alive_out,
-                        touched_out,
+                        bricks_out,
                         removed_out,
                     )
-                bz += PHASES
+                brick[2] += PHASES
 
 
 @wp.func
 def carve_brick(
     tool: Revolution,
-    pose: Doubles2D,
+    pose: Vectors2D,
     plan: Int64s,
     axis: wp.vec3,
     group: int,
-    bx: int,
-    by: int,
-    bz: int,
+    brick: wp.vec3i,
     row: int,
     worker: int,
-    material: Words2D,
-    remaining_out: Shorts2D,
-    swept_out: Shorts2D,
-    middle_out: Shorts2D,
-    older_out: Shorts2D,
-    alive_out: Bits,
-    touched_out: Bytes,
+    bricks: Bricks,
     removed_out: Int64s2D,
 ):
     """Carve one brick, block by block.
 
     The normal of the tool's surface is evaluated once per block of 2 x 2 x 2 voxels.
     """
-    alive = alive_out[row]
+    alive = bricks.alive[row]
     if alive == wp.uint64(0):
         return
-    centre = offset_from(pose, 0, bx * 8 + 4, by * 8 + 4, bz * 8 + 4)
+    middle = 8 * brick + wp.vec3i(4)
+    centre = offset_from(pose[0, 0], middle)
     far = nearest_on(tool, centre, axis)
     if far.distance > BRICK_REACH:
         return
-    touched_out[row] = touched_out[row] | wp.uint8(REACHED)
-    step = offset_from(pose, 1 + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4) - centre
+    bricks.touched[row] = bricks.touched[row] | wp.uint8(REACHED)
+    step = offset_from(pose[1 + group, 0], middle) - centre
     moved = wp.length(step)
     kink = 1.0 / tool.cells_per_voxel  # near a kink, the slope spans one cell of the table
     # Blocks behind a moving tool have been carved already, so they are skipped to save time. Within
@@ -185,13 +158,11 @@ def carve_brick(
         # The tool moves away, and the whole brick lies behind it.
         if has_moved == 1:
             for block in range(64):
-                book(row, block * 8, 1, 0, swept_out, middle_out, older_out)
+                book(row, block * 8, 1, 0, bricks)
         return
-    back = centre - offset_from(pose, OLDER_ROW + group, bx * 8 + 4, by * 8 + 4, bz * 8 + 4)
+    back = centre - offset_from(pose[OLDER_ROW + group, 0], middle)
     travel = wp.length(back)
-    axis_before = wp.vec3(
-        float(pose[1 + group, 3]), float(pose[1 + group, 4]), float(pose[1 + group, 5])
-    )
+    axis_before = wp.vec3(pose[1 + group, 1])
     before = alive
     booked = booked_by(removed_out, worker)
     for block in range(64):
@@ -213,17 +184,14 @@ def carve_brick(
                     last = nearest_on(tool, centre + step + shift, axis_before)
                     enters_reach = wp.where(last.distance >= BLOCK_REACH, 1, 0)
                 if near.distance < BLOCK_REACH and (has_moved == 1 or enters_reach == 1):
-                    book(row, block * 8, grows_old, enters_reach, swept_out, middle_out, older_out)
+                    book(row, block * 8, grows_old, enters_reach, bricks)
                 if near.distance < -BLOCK_REACH:
                     clear_block(
                         near,
                         row,
                         block * 8,
                         worker,
-                        material,
-                        remaining_out,
-                        swept_out,
-                        older_out,
+                        bricks,
                         removed_out,
                     )
                     alive = alive ^ bit
@@ -241,15 +209,13 @@ def carve_brick(
                             row,
                             block * 8,
                             worker,
-                            material,
-                            remaining_out,
-                            swept_out,
+                            bricks,
                             removed_out,
                         )
     if alive != before:
-        alive_out[row] = alive
+        bricks.alive[row] = alive
     if booked_by(removed_out, worker) != booked:
-        touched_out[row] = touched_out[row] | wp.uint8(LOST)
+        bricks.touched[row] = bricks.touched[row] | wp.uint8(LOST)
 
 
 @wp.func
@@ -258,9 +224,7 @@ def book(
     first: int,
     grows_old: int,
     enters_reach: int,
-    swept: Shorts2D,
-    middle_out: Shorts2D,
-    older_out: Shorts2D,
+    bricks: Bricks,
 ):
     """Mark cuts in a block of 2 x 2 x 2 voxels as older cuts (all except the most recent cuts).
 
@@ -270,10 +234,10 @@ def book(
     for v in range(8):
         voxel = first + v
         if enters_reach == 1:
-            older_out[row, voxel] = swept[row, voxel]
+            bricks.older[row, voxel] = bricks.swept[row, voxel]
         elif grows_old == 1:
-            older_out[row, voxel] = middle_out[row, voxel]
-        middle_out[row, voxel] = swept[row, voxel]
+            bricks.older[row, voxel] = bricks.middle[row, voxel]
+        bricks.middle[row, voxel] = bricks.swept[row, voxel]
 
 
 @wp.func
@@ -282,20 +246,17 @@ def clear_block(
     row: int,
     first: int,
     worker: int,
-    material: Words2D,
-    remaining_out: Shorts2D,
-    swept_out: Shorts2D,
-    older_out: Shorts2D,
+    bricks: Bricks,
     removed_out: Int64s2D,
 ):
     """Remove a block of 2 x 2 x 2 voxels that lies completely inside the tool."""
     for v in range(8):
         voxel = first + v
-        kept = int(remaining_out[row, voxel])
-        removed_out[worker, layer_of(material[row, voxel])] += wp.int64(kept)
-        remaining_out[row, voxel] = wp.uint16(0)
-        swept_out[row, voxel] = wp.uint16(0)
-        older_out[row, voxel] = wp.uint16(swept_steps(distance_at(near, corner_offset(v))))
+        kept = int(bricks.remaining[row, voxel])
+        removed_out[worker, layer_of(bricks.material[row, voxel])] += wp.int64(kept)
+        bricks.remaining[row, voxel] = wp.uint16(0)
+        bricks.swept[row, voxel] = wp.uint16(0)
+        bricks.older[row, voxel] = wp.uint16(swept_steps(distance_at(near, corner_offset(v))))
 
 
 @wp.func
@@ -347,9 +308,7 @@ def carve_block(
     row: int,
     first: int,
     worker: int,
-    material: Words2D,
-    remaining_out: Shorts2D,
-    swept_out: Shorts2D,
+    bricks: Bricks,
     removed_out: Int64s2D,
 ):
     """Carve a block of eight voxels. ``first`` is the index of its first voxel in the brick.
@@ -370,9 +329,9 @@ def carve_block(
             distance = exact.distance
         voxel = first + v
         stored = swept_steps(distance)
-        if stored < int(swept_out[row, voxel]):
-            swept_out[row, voxel] = wp.uint16(stored)
-        kept = int(remaining_out[row, voxel])
+        if stored < int(bricks.swept[row, voxel]):
+            bricks.swept[row, voxel] = wp.uint16(stored)
+        kept = int(bricks.remaining[row, voxel])
         if kept > 0:
             target = int(65535)
             if binary == 0:
@@ -381,8 +340,10 @@ def carve_block(
             elif distance < 0.0:
                 target = 0
             if kept > target:
-                removed_out[worker, layer_of(material[row, voxel])] += wp.int64(kept - target)
-                remaining_out[row, voxel] = wp.uint16(target)
+                removed_out[worker, layer_of(bricks.material[row, voxel])] += wp.int64(
+                    kept - target
+                )
+                bricks.remaining[row, voxel] = wp.uint16(target)
 
 
 @wp.func

@@ -39,7 +39,6 @@ For each of the cell's eight cubes, the Lame constants lambda and mu are stored,
 remaining volume of a cube, and h is the edge length of the cell.
 """
 OPTIONS = {
-    "enable_backward": False,
     "max_unroll": 1,
     "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=9000 "
     "-mllvm=-inline-cold-callsite-threshold=3000"

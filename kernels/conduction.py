@@ -16,9 +16,7 @@ import warp as wp
 
 from kernels.arrays import Singles3D
 
-wp.set_module_options({"enable_backward": False})
-
-OPEN = wp.constant(2.0)
+OPEN = 2.0
 """Largest ratio of a face's conducting fraction to the smaller filled fraction of its two cells.
 
 Compared with a ratio of 1, the stable time step is shorter by this factor.
@@ -26,9 +24,23 @@ Compared with a ratio of 1, the stable time step is shorter by this factor.
 
 
 @wp.func
-def open_share(filled: float, other: float):
-    """Compute the conducting fraction of the face between two cells from their filled fractions."""
-    return wp.min(wp.max(filled, other), OPEN * wp.min(filled, other))
+def heat_flow(
+    conductance: float,
+    temperature: Singles3D,
+    filled: Singles3D,
+    fraction: float,
+    here: float,
+    i: int,
+    j: int,
+    m: int,
+):
+    """Compute the heat flow [W] from cell (i, j, m) to a neighbouring cell.
+
+    The neighbouring cell has the filled ``fraction`` and the temperature rise ``here`` [K].
+    """
+    other = filled[i, j, m]
+    part = wp.min(wp.max(fraction, other), OPEN * wp.min(fraction, other))
+    return conductance * part * (temperature[i, j, m] - here)
 
 
 @wp.kernel
@@ -57,39 +69,15 @@ def conduct(
         return
     total = power[i, j, m]
     if i > 0:
-        total += (
-            along_x[i - 1, j, m]
-            * open_share(f, filled[i - 1, j, m])
-            * (temperature[i - 1, j, m] - here)
-        )
+        total += heat_flow(along_x[i - 1, j, m], temperature, filled, f, here, i - 1, j, m)
     if i + 1 < filled.shape[0]:
-        total += (
-            along_x[i, j, m]
-            * open_share(f, filled[i + 1, j, m])
-            * (temperature[i + 1, j, m] - here)
-        )
+        total += heat_flow(along_x[i, j, m], temperature, filled, f, here, i + 1, j, m)
     if j > 0:
-        total += (
-            along_y[i, j - 1, m]
-            * open_share(f, filled[i, j - 1, m])
-            * (temperature[i, j - 1, m] - here)
-        )
+        total += heat_flow(along_y[i, j - 1, m], temperature, filled, f, here, i, j - 1, m)
     if j + 1 < filled.shape[1]:
-        total += (
-            along_y[i, j, m]
-            * open_share(f, filled[i, j + 1, m])
-            * (temperature[i, j + 1, m] - here)
-        )
+        total += heat_flow(along_y[i, j, m], temperature, filled, f, here, i, j + 1, m)
     if m > 0:
-        total += (
-            along_z[i, j, m - 1]
-            * open_share(f, filled[i, j, m - 1])
-            * (temperature[i, j, m - 1] - here)
-        )
+        total += heat_flow(along_z[i, j, m - 1], temperature, filled, f, here, i, j, m - 1)
     if m + 1 < filled.shape[2]:
-        total += (
-            along_z[i, j, m]
-            * open_share(f, filled[i, j, m + 1])
-            * (temperature[i, j, m + 1] - here)
-        )
+        total += heat_flow(along_z[i, j, m], temperature, filled, f, here, i, j, m + 1)
     temperature_out[i, j, m] = here + step_s * total / (f * heat_capacity[i, j, m])

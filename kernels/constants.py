@@ -6,8 +6,8 @@ constant. Warp does not allow a loop to change a constant.
 
 import warp as wp
 
-ZERO = wp.constant(wp.float64(0.0))
-HALF = wp.constant(wp.float64(0.5))
-ONE = wp.constant(wp.float64(1.0))
-TWO = wp.constant(wp.float64(2.0))
-THREE = wp.constant(wp.float64(3.0))
+ZERO = wp.float64(0.0)
+HALF = wp.float64(0.5)
+ONE = wp.float64(1.0)
+TWO = wp.float64(2.0)
+THREE = wp.float64(3.0)

@@ -6,7 +6,7 @@ the triangles that the tool penetrates.
 
 import warp as wp
 
-from kernels.arrays import Doubles, Doubles2D, Vectors
+from kernels.arrays import Doubles, Vectors
 from kernels.constants import THREE, ZERO
 from kernels.contact_state import (
     LARGEST,
@@ -38,9 +38,9 @@ from kernels.near_compliance import (
     moved_at,
 )
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
-SLACK = wp.constant(wp.float64(1.25))
+SLACK = wp.float64(1.25)
 """Search distance around the middle of a triangle, in triangle radii.
 
 The radius of a triangle is the distance from its middle to its farthest corner. A search distance
@@ -57,7 +57,7 @@ def find_near(
     kind: int,
     # [m]; of a shell: radius of the enclosing ball, height of its centre above the tip
     size: wp.vec2d,
-    pose_rows: Doubles2D,
+    pose_rows: Vectors,
     reach: wp.float64,  # [m]
     results: Doubles,  # of the last tick
     # in and out
@@ -71,7 +71,7 @@ def find_near(
     limit. The limit is ``reach`` plus the largest displacement in the last tick (1 ms step). A
     triangle is working if the solver treats the contact forces at its points as unknowns.
     """
-    pose = pose_of(pose_rows)
+    pose = pose_of(pose_rows, kind, size)
     margin = reach + results[LARGEST]
     middle = pose.tip + pose.turn * wp.vec3d(ZERO, ZERO, size[1])
     tick = lists_out.count[TICK] + 1
@@ -84,8 +84,8 @@ def find_near(
     for t in range(centre.shape[0]):
         distance = wp.length(centre[t] - middle) - size[0]
         # The ball around a shell bounds its distance; the other tools have a formula.
-        if kind != SHELL:
-            distance, _normal = axis_distance(kind, size, pose, centre[t])
+        if pose.kind != SHELL:
+            distance, _normal = axis_distance(pose, centre[t])
         if distance < radius[t] + margin or lists_out.working_mark[t] == 1:
             lists_out.near[near] = t
             near += 1
@@ -146,8 +146,6 @@ def join_touching(
     points: Points,
     lists: Lists,
     patch: Patch,
-    kind: int,
-    size: wp.vec2d,
     pose: Pose,
 ):
     """Add nearby triangles that the tool penetrates to the working triangles.
@@ -167,14 +165,14 @@ def join_touching(
             pc = body.free[c] + moved_at(patch, patch.slot[c])
             # A shell has no axis from which the distance could be bounded, so every nearby triangle
             # is searched.
-            close = kind == SHELL
+            close = pose.kind == SHELL
             if not close:
                 middle = (pa + pb + pc) / THREE
                 wide = wp.max(
                     wp.length_sq(pa - middle),
                     wp.max(wp.length_sq(pb - middle), wp.length_sq(pc - middle)),
                 )
-                far, _normal = axis_distance(kind, size, pose, middle)
+                far, _normal = axis_distance(pose, middle)
                 close = far < ZERO or far * far < SLACK * SLACK * wide
             enters = int(0)
             if close:
@@ -183,7 +181,7 @@ def join_touching(
                 while point >= 0 and enters == 0:
                     weight = points.weight[point]
                     place = weight[0] * pa + weight[1] * pb + weight[2] * pc
-                    distance, normal = distance_to(kind, size, pose, points, point, place)
+                    distance, normal = distance_to(pose, points, point, place)
                     if distance < ZERO and wp.dot(normal, outward) < ZERO:
                         enters = int(1)
                     point = points.following[point]

@@ -34,7 +34,7 @@ import warp as wp
 from kernels.arrays import Doubles, Doubles2D, Int32s, Int32s2D, Matrices2D, Vectors
 from kernels.constants import HALF, ONE, TWO, ZERO
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 
 SPHERE = 0
@@ -44,8 +44,10 @@ SHELL = 2
 
 @wp.struct
 class Pose:
-    """Pose of a tool in the present tick (1 ms step) and in the previous tick."""
+    """Form of a tool, and its pose in the present tick (1 ms step) and in the previous tick."""
 
+    kind: int  # SPHERE, CYLINDER or SHELL
+    size: wp.vec2d  # [m], see `tissue.models.organ.probe`
     tip: wp.vec3d  # [m]
     turn: wp.mat33d  # tool to world
     last_tip: wp.vec3d  # [m]
@@ -53,39 +55,39 @@ class Pose:
 
 
 @wp.func
-def axis_distance(kind: int, size: wp.vec2d, pose: Pose, point: wp.vec3d):
+def axis_distance(pose: Pose, point: wp.vec3d):
     """Compute the signed distance [m] of a point from a sphere or cylinder, and its gradient.
 
-    The distance is negative inside the tool. ``size[0]`` is the radius of the tool [m]. For a
-    cylinder, ``size[1]`` is the radius of the rounded edge [m].
+    The distance is negative inside the tool. ``pose.size[0]`` is the radius of the tool [m]. For a
+    cylinder, ``pose.size[1]`` is the radius of the rounded edge [m].
     """
     axis = wp.vec3d(pose.turn[0, 2], pose.turn[1, 2], pose.turn[2, 2])
     arm = point - pose.tip
-    if kind == SPHERE:
-        arm -= size[0] * axis
+    if pose.kind == SPHERE:
+        arm -= pose.size[0] * axis
         length = wp.length(arm)
         direction = -axis
         if length > ZERO:
             direction = arm / length
-        return length - size[0], direction
+        return length - pose.size[0], direction
     height = wp.dot(arm, axis)
     radial = arm - height * axis
     radius = wp.length(radial)
     out = wp.vec3d()
     if radius > ZERO:
         out = radial / radius
-    outside = radius - size[0] + size[1]
-    below = size[1] - height
+    outside = radius - pose.size[0] + pose.size[1]
+    below = pose.size[1] - height
     direction = -axis
-    distance = below - size[1]
+    distance = below - pose.size[1]
     # Near the rounded edge, the distance follows from the circle of the edge. Its centre lies
-    # size[1] inside the side and the face. Elsewhere, the nearer of side and face counts.
+    # pose.size[1] inside the side and the face. Elsewhere, the nearer of side and face counts.
     if outside > ZERO and below > ZERO:
         corner = wp.sqrt(outside * outside + below * below)
-        distance = corner - size[1]
+        distance = corner - pose.size[1]
         direction = (outside * out - below * axis) / corner
     elif outside > below:
-        distance = outside - size[1]
+        distance = outside - pose.size[1]
         direction = out
     return distance, direction
 
@@ -158,54 +160,45 @@ class Lists:
 
 
 @wp.func
-def pose_of(pose: Doubles2D):
+def pose_of(rows: Vectors, kind: int, size: wp.vec2d):
     """Convert 8 rows (tip and 3 rows of rotation, now and in the previous tick) to a `Pose`."""
-    now = Pose()
-    now.tip = wp.vec3d(pose[0, 0], pose[0, 1], pose[0, 2])
-    now.last_tip = wp.vec3d(pose[4, 0], pose[4, 1], pose[4, 2])
-    for i in range(3):
-        for j in range(3):
-            now.turn[i, j] = pose[1 + i, j]
-            now.last_turn[i, j] = pose[5 + i, j]
-    return now
+    pose = Pose()
+    pose.kind = kind
+    pose.size = size
+    pose.tip = rows[0]
+    pose.turn = wp.matrix_from_rows(rows[1], rows[2], rows[3])
+    pose.last_tip = rows[4]
+    pose.last_turn = wp.matrix_from_rows(rows[5], rows[6], rows[7])
+    return pose
 
 
 @wp.func
 def block(body: Body, a: int, b: int):
     """Return the block [m/N], shape (3, 3), of the compliance matrix for nodes ``a`` and ``b``."""
-    compliance = body.compliance
-    i = 3 * a
-    j = 3 * b
-    return body.scale * wp.mat33d(
-        compliance[i, j],
-        compliance[i, j + 1],
-        compliance[i, j + 2],
-        compliance[i + 1, j],
-        compliance[i + 1, j + 1],
-        compliance[i + 1, j + 2],
-        compliance[i + 2, j],
-        compliance[i + 2, j + 1],
-        compliance[i + 2, j + 2],
-    )
+    found = wp.mat33d()
+    for i in range(3):
+        for j in range(3):
+            found[i, j] = body.compliance[3 * a + i, 3 * b + j]
+    return body.scale * found
 
 
 @wp.func
-def distance_to(kind: int, size: wp.vec2d, pose: Pose, points: Points, point: int, place: wp.vec3d):
+def distance_to(pose: Pose, points: Points, point: int, place: wp.vec3d):
     """Compute the signed distance [m] between the tool and a contact point, and its gradient."""
     # A shell is a set of points. The tangent plane at the contact point's own shell point is used.
-    if kind == SHELL:
+    if pose.kind == SHELL:
         direction = points.tool_normal[point]
         return wp.dot(place - points.tool_point[point], direction), direction
-    distance, direction = axis_distance(kind, size, pose, place)
+    distance, direction = axis_distance(pose, place)
     return distance, direction
 
 
 # Largest number of steps. Bisection, the fallback, reduces a bracket to rounding errors in 53
 # steps.
 NEWTON_STEPS = 60
-EXACT = wp.constant(wp.float64(1e-13))
+EXACT = wp.float64(1e-13)
 """Relative distance of a slipping point's force from the friction cone at which iteration ends."""
-TINY = wp.constant(wp.float64(1e-12))
+TINY = wp.float64(1e-12)
 """Term added to the diagonal of a compliance that may be singular, relative to its trace."""
 
 

@@ -28,9 +28,20 @@ the velocity (the tangent). The kernel processes eight elements at once.
 
 import warp as wp
 
-from kernels.arrays import Doubles, Doubles2D
+from kernels.arrays import Doubles, Doubles2D, Vectors
 from kernels.constants import ZERO
-from kernels.elements import CHUNK, LANES, LEAST_ADVANCE, Elements, Lanes2D, lanes8
+from kernels.elements import (
+    CHUNK,
+    LANES,
+    LEAST_ADVANCE,
+    Elements,
+    Lanes2D,
+    Lanes3,
+    along,
+    lanes3,
+    lanes8,
+    vectors_in,
+)
 from kernels.engagement import (
     CHIP,
     DISTANCE,
@@ -42,8 +53,6 @@ from kernels.engagement import (
     Coefficients,
 )
 
-wp.set_module_options({"enable_backward": False})
-
 # Indices into the sums. The derivatives of force and torque by each of up to six unknowns follow
 # after the areas. With three unknowns, only the force has derivatives, and the torque is the torque
 # at the given velocity.
@@ -53,7 +62,7 @@ AREA = 7  # engaged area of each layer [m2]
 MOTION_ROWS = 5
 """Number of rows of the array ``motion`` that `cutting_forces` reads."""
 # Lower limit of widths, motions and chip thicknesses in denominators [m].
-TINY = wp.constant(1.0e-12)
+TINY = 1.0e-12
 
 
 @wp.struct
@@ -65,6 +74,20 @@ class Loads:
     axial: lanes8
 
 
+@wp.struct
+class Rates:
+    """Rows of the array ``motion`` of `cutting_forces`, in single precision."""
+
+    velocity: wp.vec3
+    turning: wp.vec3
+    velocity_before: wp.vec3
+    turning_before: wp.vec3
+    unknowns: int
+    tick: float
+    speed: float
+    least: float  # advance above which an element cuts
+
+
 @wp.kernel
 def cutting_forces(
     elements: Elements,
@@ -74,7 +97,7 @@ def cutting_forces(
     # Rows, in the tool's frame: velocity of the tip [m/s], angular velocity [rad/s]; the velocity
     # and the angular velocity with which a tick would end at the pose of `found`; number of
     # unknowns, length of the tick [s] and speed.
-    motion: Doubles2D,
+    motion: Vectors,
     chip_per_speed: float,  # 2 pi / (N omega) [s]
     chunk_offset: int,
     # out
@@ -92,40 +115,15 @@ def cutting_forces(
     chunk = wp.tid() + chunk_offset
     if engaged[chunk] == ZERO:
         return
-    unknowns = int(motion[4, 0])
-    rows = AREA + coefficients.size.shape[0] + 6 * unknowns
+    rates = rates_of(motion)
+    rows = AREA + coefficients.size.shape[0] + 6 * rates.unknowns
     for m in range(rows):
         lanes_out[chunk, m] = lanes8()
-    tick = float(motion[4, 1])
-    speed = float(motion[4, 2])
-    velocity = row_of(motion, 0)
-    turning = row_of(motion, 1)
-    # If the speed is the unknown, only elements whose advance is larger than its rounding error
-    # cut. If the velocity is the unknown, there is no such limit, because the force must not jump.
-    least = wp.where(unknowns == 1, LEAST_ADVANCE * wp.length(velocity), 0.0)
     first = chunk * (CHUNK // LANES)
     last = wp.min(first + CHUNK // LANES, elements.lanes.shape[0])
     for eight in range(first, last):
-        width = found[eight, WIDTH]
-        if wp.max(width) > 0.0:
-            add_eight(
-                elements,
-                coefficients,
-                found,
-                eight,
-                width,
-                velocity,
-                turning,
-                row_of(motion, 2),
-                row_of(motion, 3),
-                unknowns,
-                tick,
-                speed,
-                chip_per_speed,
-                least,
-                chunk,
-                lanes_out,
-            )
+        if wp.max(found[eight, WIDTH]) > 0.0:
+            add_eight(elements, coefficients, found, rates, chip_per_speed, eight, chunk, lanes_out)
     for m in range(rows):
         total = wp.float64(0.0)
         for lane in range(LANES):
@@ -134,84 +132,82 @@ def cutting_forces(
 
 
 @wp.func
+def rates_of(motion: Vectors):
+    """Convert the rows of the array ``motion`` of `cutting_forces`."""
+    rates = Rates()
+    rates.velocity = wp.vec3(motion[0])
+    rates.turning = wp.vec3(motion[1])
+    rates.velocity_before = wp.vec3(motion[2])
+    rates.turning_before = wp.vec3(motion[3])
+    rates.unknowns = int(motion[4][0])
+    rates.tick = float(motion[4][1])
+    rates.speed = float(motion[4][2])
+    # If the speed is the unknown, only elements whose advance is larger than its rounding error
+    # cut. If the velocity is the unknown, there is no such limit, because the force must not jump.
+    if rates.unknowns == 1:
+        rates.least = LEAST_ADVANCE * wp.length(rates.velocity)
+    return rates
+
+
+@wp.func
 def add_eight(
     elements: Elements,
     coefficients: Coefficients,
     found: Lanes2D,
-    eight: int,
-    width: lanes8,
-    velocity: wp.vec3,
-    turning: wp.vec3,
-    velocity_before: wp.vec3,
-    turning_before: wp.vec3,
-    unknowns: int,
-    tick: float,
-    speed: float,
+    rates: Rates,
     chip_per_speed: float,
-    least: float,
+    eight: int,
     chunk: int,
     sums_out: Lanes2D,
 ):
     """Add loads, removal rate and areas of eight cutting elements to the sums of their chunk."""
-    px = elements.lanes[eight, 0]
-    py = elements.lanes[eight, 1]
-    pz = elements.lanes[eight, 2]
-    nx = elements.lanes[eight, 3]
-    ny = elements.lanes[eight, 4]
-    nz = elements.lanes[eight, 5]
-    sx = found[eight, SLOPE]
-    sy = found[eight, SLOPE + 1]
-    sz = found[eight, SLOPE + 2]
+    unknowns = rates.unknowns
+    width = found[eight, WIDTH]
+    point = vectors_in(elements.lanes, eight, 0)
+    normal = vectors_in(elements.lanes, eight, 3)
+    slope = vectors_in(found, eight, SLOPE)
     # derivatives of advance and shift by the angular velocity
-    mx = wp.cw_mul(py, nz) - wp.cw_mul(pz, ny)
-    my = wp.cw_mul(pz, nx) - wp.cw_mul(px, nz)
-    mz = wp.cw_mul(px, ny) - wp.cw_mul(py, nx)
-    qx = wp.cw_mul(py, sz) - wp.cw_mul(pz, sy)
-    qy = wp.cw_mul(pz, sx) - wp.cw_mul(px, sz)
-    qz = wp.cw_mul(px, sy) - wp.cw_mul(py, sx)
-    by_turn = along(turning, mx, my, mz)
-    advance = along(velocity, nx, ny, nz) + by_turn
-    shift_by_turn = along(turning, qx, qy, qz)
-    passing = along(velocity, sx, sy, sz) + shift_by_turn
-    before = along(velocity_before, sx, sy, sz) + along(turning_before, qx, qy, qz)
-    cuts = wp.cw_mul(above(advance - least * lanes8(1.0)), above(width - lanes8(TINY)))
-    distance = found[eight, DISTANCE] - tick * before
-    share, partly, by_shift = share_below(distance, width, tick, passing, cuts)
-    made = speed * advance
+    advance_by_turn = crosses(point, normal)
+    shift_by_turn = crosses(point, slope)
+    turn_advance = along(rates.turning, advance_by_turn)
+    turn_shift = along(rates.turning, shift_by_turn)
+    advance = along(rates.velocity, normal) + turn_advance
+    passing = along(rates.velocity, slope) + turn_shift
+    before = along(rates.velocity_before, slope) + along(rates.turning_before, shift_by_turn)
+    cuts = wp.cw_mul(above(advance - rates.least * lanes8(1.0)), above(width - lanes8(TINY)))
+    distance = found[eight, DISTANCE] - rates.tick * before
+    share, partly, by_shift = share_below(distance, width, rates.tick, passing, cuts)
+    made = rates.speed * advance
     chip, chip_slope, edge, edge_slope = chip_law(coefficients, found, eight, chip_per_speed, made)
     # The value at zero velocity is the force minus the contribution of the unknowns.
     made_shift = passing
     if unknowns == 3:
-        made = made - speed * by_turn
-        made_shift = made_shift - shift_by_turn
+        made = made - rates.speed * turn_advance
+        made_shift = made_shift - turn_shift
     chip_by_shift = wp.cw_mul(by_shift, chip)
     edge_by_shift = wp.cw_mul(by_shift, edge)
     chip_value = wp.cw_mul(share, chip - wp.cw_mul(chip_slope, made))
     edge_value = wp.cw_mul(share, edge - wp.cw_mul(edge_slope, made))
     chip_value -= wp.cw_mul(chip_by_shift, made_shift)
     edge_value -= wp.cw_mul(edge_by_shift, made_shift)
-    chip_torque = chip_value
-    edge_torque = edge_value
-    if unknowns == 3:
-        chip_torque = wp.cw_mul(share, chip)
-        edge_torque = wp.cw_mul(share, edge)
     value = loads_of(found, eight, chip_value, edge_value)
-    add_forces(elements, eight, value, lanes8(1.0), chunk, VALUE, sums_out)
-    acting = loads_of(found, eight, chip_torque, edge_torque)
-    add_torques(elements, eight, acting, lanes8(1.0), chunk, VALUE, sums_out)
+    one = lanes8(1.0)
+    add_wrench(elements, eight, value, one, 0, 3, chunk, VALUE, sums_out)
+    if unknowns == 3:
+        value = loads_of(found, eight, wp.cw_mul(share, chip), wp.cw_mul(share, edge))
+    add_wrench(elements, eight, value, one, 3, 6, chunk, VALUE, sums_out)
     slopes = AREA + coefficients.size.shape[0]
     by_advance = loads_of(found, eight, wp.cw_mul(share, chip_slope), wp.cw_mul(share, edge_slope))
     if unknowns == 1:
-        add_forces(elements, eight, by_advance, advance, chunk, slopes, sums_out)
-        add_torques(elements, eight, by_advance, advance, chunk, slopes, sums_out)
+        add_wrench(elements, eight, by_advance, advance, 0, 6, chunk, slopes, sums_out)
     else:
         add_derivatives(
-            elements, eight, by_advance, nx, ny, nz, mx, my, mz, unknowns, chunk, slopes, sums_out
+            elements, eight, by_advance, normal, advance_by_turn, unknowns, chunk, slopes, sums_out
         )
         if wp.max(partly) > 0.0:
             moving = loads_of(found, eight, chip_by_shift, edge_by_shift)
             add_derivatives(
-                elements, eight, moving, sx, sy, sz, qx, qy, qz, unknowns, chunk, slopes, sums_out
+                elements, eight, moving, slope, shift_by_turn, unknowns, chunk, slopes, sums_out
             )
     area = wp.cw_mul(elements.areas[eight], share)
     sums_out[chunk, RATE] += wp.cw_mul(area, advance)
@@ -286,15 +282,13 @@ def chip_law(
 
 
 @wp.func
-def row_of(motion: Doubles2D, row: int):
-    """Return the vector in ``row`` of ``motion``, converted to single precision."""
-    return wp.vec3(float(motion[row, 0]), float(motion[row, 1]), float(motion[row, 2]))
-
-
-@wp.func
-def along(vector: wp.vec3, x: lanes8, y: lanes8, z: lanes8):
-    """Return the scalar products of one vector with eight vectors."""
-    return vector[0] * x + vector[1] * y + vector[2] * z
+def crosses(a: Lanes3, b: Lanes3):
+    """Return the vector products of eight pairs of vectors."""
+    return lanes3(
+        wp.cw_mul(a.y, b.z) - wp.cw_mul(a.z, b.y),
+        wp.cw_mul(a.z, b.x) - wp.cw_mul(a.x, b.z),
+        wp.cw_mul(a.x, b.y) - wp.cw_mul(a.y, b.x),
+    )
 
 
 @wp.func
@@ -318,68 +312,34 @@ def loads_of(found: Lanes2D, eight: int, chip: lanes8, edge: lanes8):
 
 
 @wp.func
-def times(elements: Elements, eight: int, loads: lanes8, row: int):
-    """Multiply the loads on eight elements by a row of `kernels.elements.Elements.lever`."""
-    return wp.cw_mul(loads, elements.lever[eight, row])
-
-
-@wp.func
-def add_forces(
+def add_wrench(
     elements: Elements,
     eight: int,
     loads: Loads,
     factor: lanes8,
+    first: int,
+    last: int,
     chunk: int,
     place: int,
     sums_out: Lanes2D,
 ):
-    """Multiply the loads of eight elements by ``factor``, and add the resulting force to the sums.
+    """Multiply the loads of eight elements by ``factor``, and add force and torque to the sums.
 
-    The sums of the chunk begin at the entry ``place``. The loads act on the bone, so the force on
-    the tool has the opposite sign.
+    The components ``first`` to ``last`` - 1 of force (0 to 2) and torque (3 to 5) are added. The
+    sums of the chunk begin at the entry ``place``. The loads act on the bone, so the force on the
+    tool has the opposite sign.
     """
     tangential = wp.cw_mul(loads.tangential, factor)
     radial = wp.cw_mul(loads.radial, factor)
     axial = wp.cw_mul(loads.axial, factor)
-    sums_out[chunk, place] -= times(elements, eight, tangential, 0) + times(
-        elements, eight, radial, 5
-    )
-    sums_out[chunk, place + 1] -= times(elements, eight, tangential, 1) + times(
-        elements, eight, radial, 6
-    )
-    sums_out[chunk, place + 2] -= times(elements, eight, radial, 7) + axial
-
-
-@wp.func
-def add_torques(
-    elements: Elements,
-    eight: int,
-    loads: Loads,
-    factor: lanes8,
-    chunk: int,
-    place: int,
-    sums_out: Lanes2D,
-):
-    """Multiply the loads of eight elements by ``factor``, and add the resulting torque to the sums.
-
-    The other arguments are the same as in `add_forces`.
-    """
-    tangential = wp.cw_mul(loads.tangential, factor)
-    radial = wp.cw_mul(loads.radial, factor)
-    axial = wp.cw_mul(loads.axial, factor)
-    sums_out[chunk, place + 3] -= (
-        times(elements, eight, tangential, 2)
-        + times(elements, eight, radial, 8)
-        + times(elements, eight, axial, 12)
-    )
-    sums_out[chunk, place + 4] -= (
-        times(elements, eight, tangential, 3)
-        + times(elements, eight, radial, 9)
-        + times(elements, eight, axial, 13)
-    )
-    sums_out[chunk, place + 5] -= times(elements, eight, tangential, 4) + times(
-        elements, eight, radial, 10
-    )
+    # An unrolled loop takes 5 % less time than a loop from ``first`` to ``last``.
+    for k in range(6):
+        if k >= first and k < last:
+            sums_out[chunk, place + k] -= (
+                wp.cw_mul(tangential, elements.lever[eight, k])
+                + wp.cw_mul(radial, elements.lever[eight, 6 + k])
+                + wp.cw_mul(axial, elements.lever[eight, 12 + k])
+            )
 
 
 @wp.func
@@ -387,12 +347,8 @@ def add_derivatives(
     elements: Elements,
     eight: int,
     loads: Loads,
-    x: lanes8,
-    y: lanes8,
-    z: lanes8,
-    turn_x: lanes8,
-    turn_y: lanes8,
-    turn_z: lanes8,
+    rate: Lanes3,
+    turn_rate: Lanes3,
     unknowns: int,
     chunk: int,
     place: int,
@@ -401,22 +357,16 @@ def add_derivatives(
     """Add derivatives of force and torque with respect to velocities to the sums of a chunk.
 
     ``loads`` contains derivatives of the loads with respect to a speed of each element, for example
-    the speed along the normal. The arguments ``x``, ``y`` and ``z`` are the derivatives of this
-    speed with respect to the velocity of the tip. The arguments ``turn_x``, ``turn_y`` and
-    ``turn_z`` are its derivatives with respect to the angular velocity. The products of ``loads``
+    the speed along the normal. The derivative of this speed with respect to the velocity of the tip
+    is ``rate``, and with respect to the angular velocity ``turn_rate``. The products of ``loads``
     and these derivatives are added to the sums. With three unknowns, only the derivatives of the
     force are added.
     """
-    add_forces(elements, eight, loads, x, chunk, place, sums_out)
-    add_forces(elements, eight, loads, y, chunk, place + 6, sums_out)
-    add_forces(elements, eight, loads, z, chunk, place + 12, sums_out)
+    last = wp.where(unknowns == 6, 6, 3)
+    add_wrench(elements, eight, loads, rate.x, 0, last, chunk, place, sums_out)
+    add_wrench(elements, eight, loads, rate.y, 0, last, chunk, place + 6, sums_out)
+    add_wrench(elements, eight, loads, rate.z, 0, last, chunk, place + 12, sums_out)
     if unknowns == 6:
-        add_forces(elements, eight, loads, turn_x, chunk, place + 18, sums_out)
-        add_forces(elements, eight, loads, turn_y, chunk, place + 24, sums_out)
-        add_forces(elements, eight, loads, turn_z, chunk, place + 30, sums_out)
-        add_torques(elements, eight, loads, x, chunk, place, sums_out)
-        add_torques(elements, eight, loads, y, chunk, place + 6, sums_out)
-        add_torques(elements, eight, loads, z, chunk, place + 12, sums_out)
-        add_torques(elements, eight, loads, turn_x, chunk, place + 18, sums_out)
-        add_torques(elements, eight, loads, turn_y, chunk, place + 24, sums_out)
-        add_torques(elements, eight, loads, turn_z, chunk, place + 30, sums_out)
+        add_wrench(elements, eight, loads, turn_rate.x, 0, 6, chunk, place + 18, sums_out)
+        add_wrench(elements, eight, loads, turn_rate.y, 0, 6, chunk, place + 24, sums_out)
+        add_wrench(elements, eight, loads, turn_rate.z, 0, 6, chunk, place + 30, sums_out)

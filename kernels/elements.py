@@ -6,7 +6,8 @@ and their advances (speeds along the normal), and test whether an element may cu
 
 import warp as wp
 
-from kernels.arrays import Bits, Doubles2D, Int32s3D, Singles, SingleVectors
+from kernels.arrays import Singles, SingleVectors, Vectors
+from kernels.bricks import Bricks
 
 CHUNK = 128
 """Number of cutting elements per chunk. A chunk is the group that one thread processes.
@@ -26,7 +27,44 @@ lanes8 = wp.types.vector(length=LANES, dtype=wp.float32)
 Lanes2D = wp.array2d(dtype=lanes8)
 # Largest advance of an element that does not cut, relative to the speed of the tip. It is more than
 # the rounding error of an advance in single precision.
-LEAST_ADVANCE = wp.constant(1.0e-5)
+LEAST_ADVANCE = 1.0e-5
+
+
+@wp.struct
+class Lanes3:
+    """Vectors of eight elements, by component."""
+
+    x: lanes8
+    y: lanes8
+    z: lanes8
+
+
+@wp.func
+def lanes3(x: lanes8, y: lanes8, z: lanes8):
+    """Return the vectors of eight elements with given components."""
+    vectors = Lanes3()
+    vectors.x = x
+    vectors.y = y
+    vectors.z = z
+    return vectors
+
+
+@wp.func
+def vectors_in(rows: Lanes2D, eight: int, first: int):
+    """Return the vectors of eight elements that are stored in three rows."""
+    return lanes3(rows[eight, first], rows[eight, first + 1], rows[eight, first + 2])
+
+
+@wp.func
+def along(vector: wp.vec3, vectors: Lanes3):
+    """Return the scalar products of one vector with eight vectors."""
+    return vector[0] * vectors.x + vector[1] * vectors.y + vector[2] * vectors.z
+
+
+@wp.func
+def products(a: Lanes3, b: Lanes3):
+    """Return the scalar products of eight pairs of vectors."""
+    return wp.cw_mul(a.x, b.x) + wp.cw_mul(a.y, b.y) + wp.cw_mul(a.z, b.z)
 
 
 @wp.struct
@@ -37,8 +75,8 @@ class Elements:
     lanes: Lanes2D  # [eight elements, 6]: x, y, z of points, then of normals
     normal: SingleVectors  # outward, unit
     # Factors from tangential, radial and axial loads to force and torque, for eight elements. Rows
-    # for an element at r [m]: tangent t (x, y), r x t, normal n, r x n, axis a (z), r x a (x, y).
-    # The tangent is the unit direction in which the spin moves the element.
+    # for an element at r [m]: tangent t, r x t, normal n, r x n, axis a, r x a, three each. The
+    # tangent is the unit direction in which the spin moves the element.
     lever: Lanes2D
     area: Singles  # [m2]
     areas: wp.array(dtype=lanes8)  # areas of eight elements [m2], 0 after the last element
@@ -74,19 +112,18 @@ class Travel:
 
 
 @wp.func
-def travel_of(motion: Doubles2D, spacing: float):
+def travel_of(motion: Vectors, spacing: float):
     """Return pose and motion of the tool in single precision, from the rows of ``motion``."""
     travel = Travel()
-    travel.tip = wp.vec3(float(motion[0, 0]), float(motion[0, 1]), float(motion[0, 2]))
-    travel.ex = wp.vec3(float(motion[1, 0]), float(motion[1, 1]), float(motion[1, 2])) / spacing
-    travel.ey = wp.vec3(float(motion[2, 0]), float(motion[2, 1]), float(motion[2, 2])) / spacing
-    travel.ez = wp.vec3(float(motion[3, 0]), float(motion[3, 1]), float(motion[3, 2])) / spacing
+    travel.tip = wp.vec3(motion[0])
+    travel.ex = wp.vec3(motion[1]) / spacing
+    travel.ey = wp.vec3(motion[2]) / spacing
+    travel.ez = wp.vec3(motion[3]) / spacing
     travel.axis = travel.ez * spacing
-    velocity = wp.vec3(float(motion[4, 0]), float(motion[4, 1]), float(motion[4, 2]))
-    travel.velocity = velocity
-    travel.turning = wp.vec3(float(motion[5, 0]), float(motion[5, 1]), float(motion[5, 2]))
+    travel.velocity = wp.vec3(motion[4])
+    travel.turning = wp.vec3(motion[5])
     travel.turns = wp.where(wp.length(travel.turning) > 0.0, 1, 0)
-    travel.least = LEAST_ADVANCE * wp.length(velocity)
+    travel.least = LEAST_ADVANCE * wp.length(travel.velocity)
     return travel
 
 
@@ -97,8 +134,7 @@ def may_cut(
     travel: Travel,
     spacing: float,
     everywhere: bool,
-    brick_of: Int32s3D,
-    alive: Bits,
+    bricks: Bricks,
 ):
     """Return whether an element of a chunk may advance into bone, by a quick, conservative test.
 
@@ -113,38 +149,36 @@ def may_cut(
         return False
     ball = elements.chunk_ball[chunk]
     middle = travel.tip + ball[0] * travel.ex + ball[1] * travel.ey + ball[2] * travel.ez
-    return meets_bone(brick_of, alive, middle, ball[3] / spacing + 2.0)
+    return meets_bone(bricks, middle, ball[3] / spacing + 2.0)
 
 
 @wp.func
 def advance_of(elements: Elements, eight: int, travel: Travel):
     """Compute the speeds of eight elements along their normals, divided by the tool's speed."""
-    nx = elements.lanes[eight, 3]
-    ny = elements.lanes[eight, 4]
-    nz = elements.lanes[eight, 5]
-    advance = travel.velocity[0] * nx + travel.velocity[1] * ny + travel.velocity[2] * nz
+    normal = vectors_in(elements.lanes, eight, 3)
+    advance = along(travel.velocity, normal)
     if travel.turns == 1:
-        px = elements.lanes[eight, 0]
-        py = elements.lanes[eight, 1]
-        pz = elements.lanes[eight, 2]
-        wx = travel.turning[1] * pz - travel.turning[2] * py
-        wy = travel.turning[2] * px - travel.turning[0] * pz
-        wz = travel.turning[0] * py - travel.turning[1] * px
-        advance += wp.cw_mul(wx, nx) + wp.cw_mul(wy, ny) + wp.cw_mul(wz, nz)
+        point = vectors_in(elements.lanes, eight, 0)
+        turning = travel.turning
+        turned = lanes3(
+            turning[1] * point.z - turning[2] * point.y,
+            turning[2] * point.x - turning[0] * point.z,
+            turning[0] * point.y - turning[1] * point.x,
+        )
+        advance += products(turned, normal)
     return advance
 
 
 @wp.func
 def place_of(elements: Elements, eight: int, travel: Travel, axis: int):
     """Compute the coordinates [voxel] of eight elements along one ``axis`` of the voxel grid."""
-    along = travel.ex[axis] * elements.lanes[eight, 0] + travel.ey[axis] * elements.lanes[eight, 1]
-    return along + travel.ez[axis] * elements.lanes[eight, 2] + lanes8(travel.tip[axis])
+    row = wp.vec3(travel.ex[axis], travel.ey[axis], travel.ez[axis])
+    return along(row, vectors_in(elements.lanes, eight, 0)) + lanes8(travel.tip[axis])
 
 
 @wp.func
 def meets_bone(
-    brick_of: Int32s3D,
-    alive: Bits,
+    bricks: Bricks,
     middle: wp.vec3,
     radius: float,
 ):
@@ -153,14 +187,14 @@ def meets_bone(
     high = wp.vec3i(0, 0, 0)
     for c in range(3):
         low[c] = wp.max(int(wp.floor((middle[c] - radius) / 8.0)), 0)
-        high[c] = wp.min(int(wp.floor((middle[c] + radius) / 8.0)), brick_of.shape[c] - 1)
+        high[c] = wp.min(int(wp.floor((middle[c] + radius) / 8.0)), bricks.brick_of.shape[c] - 1)
     for bx in range(low[0], high[0] + 1):
         for by in range(low[1], high[1] + 1):
             for bz in range(low[2], high[2] + 1):
-                row = int(brick_of[bx, by, bz])
+                row = int(bricks.brick_of[bx, by, bz])
                 held = wp.uint64(0)
                 if row >= 0:
-                    held = alive[row]
+                    held = bricks.alive[row]
                 if held != wp.uint64(0):
                     return True
     return False

@@ -13,23 +13,19 @@ yet, and are computed from the tool's last poses, see `kernels.recent_cuts`.
 import warp as wp
 
 from kernels.arrays import (
-    Bits,
     Doubles,
-    Doubles2D,
-    Int32s3D,
-    Shorts2D,
     Singles2D,
+    Singles3D,
     SingleVectors,
-    Words2D,
+    Vectors,
 )
 from kernels.bone_lookup import bone_at
-from kernels.bricks import corner8f, voxel_column, voxel_row
+from kernels.bricks import Bricks, corner8f, voxel_column, voxel_row
 from kernels.constants import ZERO
 from kernels.elements import (
     CHUNK,
     LANES,
     Elements,
-    Lanes2D,
     Travel,
     advance_of,
     lanes8,
@@ -38,10 +34,8 @@ from kernels.elements import (
     travel_of,
 )
 from kernels.older_cuts import RAMP, SLOTS, bone_left
-from kernels.recent_cuts import CLOSE, Poses, poses_in_front, recently_cut
+from kernels.recent_cuts import CLOSE, Poses, Poses2D, poses_in_front, recently_cut
 from kernels.revolution import Revolution
-
-wp.set_module_options({"enable_backward": False})
 
 # Indices of the rows that describe the bone in front of eight elements.
 DISTANCE = 0  # signed distance to the surface [m], positive outside the bone
@@ -55,7 +49,7 @@ EDGE = 11  # edge forces of the whole element [N]: tangential, radial, axial
 FOUND = 14  # number of rows
 POSE_ROWS = 7
 """Number of rows of the array ``motion`` (pose and motion) that `find_bone` reads."""
-DENSITIES = wp.constant(20001)
+DENSITIES = 20001
 """Number of entries per layer in the table `Coefficients.strength`.
 
 There is one entry for each density from 0 to 20,000 kg/m3, the largest density of bone that the
@@ -63,13 +57,13 @@ library accepts.
 """
 # Largest width of an element across the surface [voxel]. Half of this width is less than 1.78
 # voxels, the range in which distances are interpolated, see `kernels.bone_lookup`.
-WIDEST = wp.constant(3.5)
+WIDEST = 3.5
 # Smallest width of an element across the surface [voxel]. The width of an element parallel to the
 # surface would be zero.
-NARROWEST = wp.constant(1.0e-3)
+NARROWEST = 1.0e-3
 # Distance in front of a hand-held tool within which bone is found [voxel]. After a search, the tool
 # moves by less than this distance before the next search.
-NEAR = wp.constant(0.2)
+NEAR = 0.2
 
 
 @wp.struct
@@ -95,33 +89,29 @@ def find_bone(
     # the tool's frame. Last row: 1 to find bone around the whole tool, 0 to find bone only in front
     # of elements that advance; 1 if the tool has turned recently; lower limit of the minimum chip
     # thickness [m].
-    motion: Doubles2D,
-    # [pose, 6]: displacements [m] and rotations [rad] to the tool's last poses, in the tool's
-    # frame. The first row is the present pose.
-    recent: Singles2D,
+    motion: Vectors,
+    # Displacements and rotations to the tool's last poses, in the tool's frame. The first row is
+    # the present pose.
+    recent: Poses2D,
     spacing: float,  # [m]
+    bricks: Bricks,
     chunk_offset: int,
-    # grid
-    brick_of: Int32s3D,
-    material: Words2D,
-    nearby: Shorts2D,
-    older: Shorts2D,
-    alive: Bits,
     # out
     seen_out: wp.array2d(dtype=corner8f),  # [chunk, SLOTS + 1], see `kernels.older_cuts.SLOTS`
-    found_out: Lanes2D,  # [eight elements, row], see `DISTANCE`
+    # [eight elements, row, element], see `DISTANCE`; rows of elements with width 0 are not valid
+    found_out: Singles3D,
     engaged_out: Doubles,  # [chunk], 1 with bone; 1 at the first launch
 ):
     """Find the bone in front of each cutting element of one chunk (group of elements)."""
     chunk = wp.tid() + chunk_offset
     seen_out[chunk, SLOTS] = corner8f()
     travel = travel_of(motion, spacing)
-    everywhere = motion[6, 0] != ZERO
+    everywhere = motion[6][0] != ZERO
     first = chunk * (CHUNK // LANES)
     last = wp.min(first + CHUNK // LANES, elements.lanes.shape[0])
-    turns = motion[6, 1] != ZERO
+    turns = motion[6][1] != ZERO
     count = elements.edge_length.shape[0]
-    meets = may_cut(elements, chunk, travel, spacing, everywhere, brick_of, alive)
+    meets = may_cut(elements, chunk, travel, spacing, everywhere, bricks)
     poses = Poses()
     has_poses = int(0)
     enough = wp.where(everywhere, NEAR, 0.0) * spacing + CLOSE
@@ -130,16 +120,10 @@ def find_bone(
         last = first
     engaged = int(0)
     for eight in range(first, last):
-        width = lanes8()
-        distance = lanes8()
-        slope_x = lanes8()
-        slope_y = lanes8()
-        slope_z = lanes8()
-        layer = lanes8()
-        density = lanes8()
-        gap = lanes8()
-        cuts = int(0)
+        for lane in range(LANES):
+            found_out[eight, WIDTH, lane] = 0.0
         if meets:
+            gap = lanes8()
             advances = lanes8()
             if not everywhere:
                 advances = advance_of(elements, eight, travel)
@@ -150,7 +134,7 @@ def find_bone(
             probed = int(0)
             while probed < LANES and near == 0:
                 at = wp.vec3(x[probed], y[probed], z[probed])
-                row, _ = remaining_voxel(brick_of, alive, at)
+                row, _ = remaining_voxel(bricks, at)
                 if row >= 0 and (everywhere or advances[probed] > travel.least):
                     near = 1
                 probed += 1
@@ -164,46 +148,26 @@ def find_bone(
             # take 2 % longer.
             while lane < LANES and eight * LANES + lane < count:
                 if everywhere or advances[lane] > travel.least:
-                    met = bone_met(
+                    is_met = find_bone_at(
                         tool,
                         elements,
+                        coefficients,
                         motion,
                         travel,
                         spacing,
-                        brick_of,
-                        material,
-                        nearby,
-                        older,
-                        alive,
-                        eight * LANES + lane,
+                        bricks,
+                        eight,
+                        lane,
                         wp.vec3(x[lane], y[lane], z[lane]),
                         gap[lane],
                         everywhere,
-                        seen_out,
                         chunk,
+                        seen_out,
+                        found_out,
                     )
-                    if met.width > 0.0:
-                        cuts = 1
-                        distance[lane] = met.distance
-                        slope_x[lane] = met.slope[0]
-                        slope_y[lane] = met.slope[1]
-                        slope_z[lane] = met.slope[2]
-                        width[lane] = met.width
-                        layer[lane] = float(met.layer)
-                        density[lane] = met.density
+                    if is_met:
+                        engaged = 1
                 lane += 1
-        if cuts == 1:
-            engaged = 1
-            found_out[eight, DISTANCE] = distance
-            found_out[eight, SLOPE] = slope_x
-            found_out[eight, SLOPE + 1] = slope_y
-            found_out[eight, SLOPE + 2] = slope_z
-            found_out[eight, LAYER] = layer
-            found_out[eight, DENSITY] = density
-            set_strengths(
-                elements, coefficients, float(motion[6, 2]), eight, layer, density, found_out
-            )
-        found_out[eight, WIDTH] = width
     engaged_out[chunk] = wp.float64(engaged)
 
 
@@ -213,78 +177,51 @@ def set_strengths(
     coefficients: Coefficients,
     least: float,
     eight: int,
-    layer: lanes8,
-    density: lanes8,
-    found: Lanes2D,
+    lane: int,
+    layer: int,
+    density: float,
+    found_out: Singles3D,
 ):
-    """Write the cutting coefficients of eight elements, scaled by edge length and bone strength."""
-    minimum = lanes8()
-    chip_0 = lanes8()
-    chip_1 = lanes8()
-    chip_2 = lanes8()
-    edge_0 = lanes8()
-    edge_1 = lanes8()
-    edge_2 = lanes8()
-    for lane in range(LANES):
-        m = int(layer[lane])
-        e = wp.min(eight * LANES + lane, elements.edge_length.shape[0] - 1)
-        # length of cutting edge, multiplied by the strength factor of the bone [m]
-        length = elements.edge_length[e] * coefficients.strength[m, int(density[lane])]
-        chip = length * coefficients.chip[m]
-        edge = length * coefficients.edge[m]
-        chip_0[lane] = chip[0]
-        chip_1[lane] = chip[1]
-        chip_2[lane] = chip[2]
-        edge_0[lane] = edge[0]
-        edge_1[lane] = edge[1]
-        edge_2[lane] = edge[2]
-        minimum[lane] = wp.max(coefficients.size[m][1], least)
-    found[eight, CHIP] = chip_0
-    found[eight, CHIP + 1] = chip_1
-    found[eight, CHIP + 2] = chip_2
-    found[eight, EDGE] = edge_0
-    found[eight, EDGE + 1] = edge_1
-    found[eight, EDGE + 2] = edge_2
-    found[eight, MINIMUM] = minimum
-
-
-@wp.struct
-class Met:
-    """Bone in front of a cutting element. Lengths are in metres; the width is 0 without bone."""
-
-    distance: wp.float32
-    slope: wp.vec3
-    width: wp.float32
-    layer: wp.int32
-    density: wp.float32
+    """Write the cutting coefficients of an element, scaled by edge length and bone strength."""
+    # length of cutting edge, multiplied by the strength factor of the bone [m]
+    edge_length = elements.edge_length[eight * LANES + lane]
+    length = edge_length * coefficients.strength[layer, int(density)]
+    chip = length * coefficients.chip[layer]
+    edge = length * coefficients.edge[layer]
+    for k in range(3):
+        found_out[eight, CHIP + k, lane] = chip[k]
+        found_out[eight, EDGE + k, lane] = edge[k]
+    found_out[eight, MINIMUM, lane] = wp.max(coefficients.size[layer][1], least)
 
 
 @wp.func
-def bone_met(
+def find_bone_at(
     tool: Revolution,
     elements: Elements,
-    motion: Doubles2D,
+    coefficients: Coefficients,
+    motion: Vectors,
     travel: Travel,
     spacing: float,
-    brick_of: Int32s3D,
-    material: Words2D,
-    nearby: Shorts2D,
-    older: Shorts2D,
-    alive: Bits,
-    e: int,
+    bricks: Bricks,
+    eight: int,
+    lane: int,
     at: wp.vec3,
     gap: float,
     everywhere: bool,
-    seen: wp.array2d(dtype=corner8f),
     chunk: int,
+    seen_out: wp.array2d(dtype=corner8f),
+    found_out: Singles3D,
 ):
-    """Find the bone in front of element ``e``, whose position is ``at`` [voxel]."""
-    met = Met()
-    row, column = remaining_voxel(brick_of, alive, at)
+    """Write the bone in front of an element at the position ``at`` [voxel].
+
+    Return whether there is bone.
+    """
+    e = eight * LANES + lane
+    row, column = remaining_voxel(bricks, at)
     # An element that cannot reach the bone within this tick is skipped.
     margin = wp.where(everywhere, NEAR, 0.0)
     if row >= 0 and gap < margin * spacing + CLOSE:
-        bone = bone_at(brick_of, material, nearby, row, column, at)
+        bone = bone_at(bricks, row, column, at)
         normal = elements.normal[e]
         outward = (normal[0] * travel.ex + normal[1] * travel.ey + normal[2] * travel.ez) * spacing
         width = float(1.0)
@@ -306,14 +243,13 @@ def bone_met(
                 tool,
                 motion,
                 travel.axis,
-                brick_of,
-                older,
+                bricks,
                 row,
                 column,
                 at,
                 outward,
                 elements.bend[e],
-                seen,
+                seen_out,
                 chunk,
             )
             # The deeper surface is used. Half of the element is engaged where older cuts have left
@@ -328,16 +264,23 @@ def bone_met(
                 slope = -normal
                 width = CLOSE / spacing
             if distance < 0.5 * width + margin:
-                met.distance = distance * spacing
-                met.width = width * spacing
-                met.slope = slope
-                met.layer = bone.layer
-                met.density = wp.floor(wp.min(bone.density + 0.5, float(DENSITIES - 1)))
-    return met
+                density = wp.floor(wp.min(bone.density + 0.5, float(DENSITIES - 1)))
+                found_out[eight, DISTANCE, lane] = distance * spacing
+                for c in range(3):
+                    found_out[eight, SLOPE + c, lane] = slope[c]
+                found_out[eight, WIDTH, lane] = width * spacing
+                found_out[eight, LAYER, lane] = float(bone.layer)
+                found_out[eight, DENSITY, lane] = density
+                least = float(motion[6][2])
+                set_strengths(
+                    elements, coefficients, least, eight, lane, bone.layer, density, found_out
+                )
+                return True
+    return False
 
 
 @wp.func
-def remaining_voxel(brick_of: Int32s3D, alive: Bits, at: wp.vec3):
+def remaining_voxel(bricks: Bricks, at: wp.vec3):
     """Return the storage location (row and column) of the voxel at a point [voxel].
 
     The row belongs to the voxel's brick. It is -1 if no bone is left in the block of 2 x 2 x 2
@@ -346,10 +289,10 @@ def remaining_voxel(brick_of: Int32s3D, alive: Bits, at: wp.vec3):
     ix = int(wp.floor(at[0]))
     iy = int(wp.floor(at[1]))
     iz = int(wp.floor(at[2]))
-    row = voxel_row(brick_of, ix, iy, iz)
+    row = voxel_row(bricks.brick_of, ix, iy, iz)
     column = voxel_column(ix, iy, iz)
     if row >= 0:
-        left = alive[row] >> wp.uint64(column >> 3)
+        left = bricks.alive[row] >> wp.uint64(column >> 3)
         if (left & wp.uint64(1)) == wp.uint64(0):
             row = -1
     return row, column

@@ -40,7 +40,7 @@ from kernels.constants import HALF, ONE, ZERO
 from kernels.hexahedra import BLOCKS, block_of, carries, cell_block
 
 # nested loops over corners, compiled once
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 
 @wp.func

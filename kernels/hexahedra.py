@@ -17,8 +17,6 @@ import warp as wp
 from kernels.arrays import Bytes, Int32s, Int32s2D, Matrices2D, Vectors, Vectors2D
 from kernels.constants import ONE
 
-wp.set_module_options({"enable_backward": False})
-
 BLOCKS = 36
 """Number of stored 3 x 3 blocks of a cell's stiffness: the upper triangle of 8 x 8 blocks."""
 CornerGradients = wp.types.matrix(shape=(8, 3), dtype=wp.float64)

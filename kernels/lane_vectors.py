@@ -27,7 +27,7 @@ from kernels.constants import HALF, ONE, ZERO
 from kernels.hexahedra import block_of, carries
 from kernels.particle_stiffness import FULL_STEPS
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 LANES_F = lanes_of(wp.float32)
 LaneRows = wp.array2d(dtype=LANES_F)

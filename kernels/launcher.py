@@ -12,13 +12,12 @@ A launch is split only if the gain measured on this machine is large enough.
 
 Two logical processors may share one core, or other processes may keep a core busy. On such cores,
 half of the work takes as long as the whole work, and splitting only adds time. The gain is the
-ratio of the time without splitting to the time with splitting. A short calibration before the first
-launch measures the gain. The gain is measured again while the launches run, at first often and
-later less and less often.
+ratio of the time without splitting to the time with splitting. The first long runs of a launch
+measure the gain. The gain is measured again while the launches run, at first often and later less
+and less often.
 """
 
 import ctypes
-import hashlib
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -36,7 +35,7 @@ from kernels.mirror import placed
 LEAST_GAIN = 1.1
 """Smallest gain (time without splitting / time with splitting) at which a launch is split.
 
-Calibrations measure 0.91 to 1.03 if splitting does not save time, and 1.14 to 1.28 if it does.
+Measured gains are 0.91 to 1.03 if splitting does not save time, and 1.14 to 1.28 if it does.
 """
 ORDER = tuple(number.bit_count() % 2 == 1 for number in range(16))
 """Order of the runs in a trial: True for a split run, False for a run as a whole.
@@ -54,23 +53,10 @@ A single interruption therefore does not change the outcome of the trial.
 KEPT = 4
 """Number of most recent gains that are used. Older gains may belong to another machine load."""
 FIRST_TRIAL, LAST_TRIAL = 32, 2048
-"""Number of long runs before the first trial, and largest number of long runs between trials.
+"""Smallest and largest number of long runs between trials.
 
-A run is long if it takes long enough to be split. After each trial that confirms the choice, the
-number of long runs before the next trial is doubled.
-"""
-SAMPLES = 8
-"""Number of pairs of runs in the calibration. Each pair has one whole run and one split run."""
-CALIBRATION_S = 1.5e-4
-"""Duration [s] of one part of the calibration's work.
-
-Two parts take about as long as the shortest launch that may be split.
-"""
-SAMPLE_BYTES = 1 << 16
-"""Number of bytes that the calibration hashes first. Hashing them takes tens of microseconds.
-
-From the measured time, the calibration computes how many bytes must be hashed to reach the duration
-`CALIBRATION_S`.
+The first trial begins with the first long run. A run is long if it takes long enough to be split.
+After each trial that confirms the choice, the number of long runs before the next trial is doubled.
 """
 
 
@@ -78,24 +64,19 @@ class SplitChoice:
     """Choice for one kernel launch: run it as a whole, or split it over several cores.
 
     Because the work of a launch changes from run to run, the choice is based on trials. A trial
-    compares equal numbers of whole and split runs in mixed order.
-
-    Parameters
-    ----------
-    gain
-        First value of the gain (time without splitting / time with splitting), for example from
-        `calibrate`.
+    compares equal numbers of whole and split runs in mixed order. The first long runs are a trial.
     """
 
-    def __init__(self, gain: float = 1.0) -> None:
-        self._gains = deque([gain], maxlen=KEPT)
-        self._period = self._due = FIRST_TRIAL
+    def __init__(self) -> None:
+        self._gains = deque[float](maxlen=KEPT)
+        self._period = FIRST_TRIAL
+        self._due = 0
         self._trial: list[float] = []
 
     @property
     def gain(self) -> float:
-        """Geometric mean of recent gains (time without splitting / time with splitting)."""
-        return geometric_mean(self._gains)
+        """Geometric mean of recent gains (time without splitting / time with splitting), or 1."""
+        return geometric_mean(self._gains) if self._gains else 1.0
 
     @property
     def splits(self) -> bool:
@@ -154,44 +135,6 @@ def run_split(pool: CoreThreads, parts: list[Callable[[], object]]) -> int:
     return parallel
 
 
-def calibrate(pool: CoreThreads, parts: int) -> float:
-    """Measure the gain of splitting: time in one thread / time in several threads.
-
-    The measurement runs a computation that needs only processor time, and takes a few milliseconds.
-
-    Parameters
-    ----------
-    pool
-        Pool of threads that run all parts except the first, which the calling thread runs.
-    parts
-        Number of parts.
-    """
-    # Use the shortest of three times, because an interruption can only lengthen a time.
-    one_s = min(_hash_time(bytes(SAMPLE_BYTES)) for _ in range(3))
-    work = bytes(
-        SAMPLE_BYTES * max(1, round(CALIBRATION_S / one_s)) if one_s > 0.0 else SAMPLE_BYTES
-    )
-    # hashing releases the interpreter lock
-    jobs: list[Callable[[], object]] = [lambda: hashlib.sha256(work)] * parts
-    run_split(pool, jobs)  # start the threads
-    ratios = []
-    for _ in range(SAMPLES):
-        start = perf_counter()
-        for job in jobs:
-            job()
-        middle = perf_counter()
-        run_split(pool, jobs)
-        # 1e-9 s: the reading of a coarse clock may not have changed.
-        ratios.append((middle - start) / max(perf_counter() - middle, 1e-9))
-    return median(ratios)
-
-
-def _hash_time(work: bytes) -> float:
-    start = perf_counter()
-    hashlib.sha256(work)
-    return perf_counter() - start
-
-
 SPLIT_ABOVE_S = 2.5e-4
 """Expected time of a launch above which the launch may be split [s].
 
@@ -226,16 +169,6 @@ def launch_counts() -> LaunchCounts:
 def _pool(threads: int) -> CoreThreads:
     """Return the pool of threads that all launches with ``threads`` + 1 parts share."""
     return CoreThreads(threads)
-
-
-@cache
-def _gain(threads: int) -> float:
-    """Return the gain of splitting work into ``threads`` + 1 parts on this machine.
-
-    The gain is measured in the first call. It is the start value for all launches with this number
-    of parts.
-    """
-    return calibrate(_pool(threads), threads + 1)
 
 
 def recorded(
@@ -295,16 +228,14 @@ class SplitLaunch:
     Parameters
     ----------
     kernel
-        Kernel with an integer input, the index of the first thread. The kernel must add this index
-        to its thread index.
+        Kernel whose last input is an integer, the index of the first thread. The kernel must add
+        this index to its thread index.
     dim
         Number of Warp threads of the whole launch. If there are several dimensions, the first is
         split.
     inputs, outputs
-        Arguments of the kernel. NumPy arrays among the inputs are copied to the device.
-    offset_index
-        Position in ``inputs`` of the integer for the index of the first thread. The launch replaces
-        the value at this position. Default: the index is appended to ``inputs``.
+        Arguments of the kernel, without the index of the first thread. NumPy arrays among the
+        inputs are copied to the device.
     device
         Warp device name; default: the device of the first output. On a GPU the launch is never
         split.
@@ -320,22 +251,23 @@ class SplitLaunch:
         inputs: Sequence[object],
         outputs: Sequence[Any],
         *,
-        offset_index: int | None = None,
         device: str | None = None,
         cores: int | None = None,
     ) -> None:
         device = device or str(outputs[0].device)
-        place = len(inputs) if offset_index is None else offset_index
         inputs = placed(kernel, inputs, device)
         along, *across = (dim,) if isinstance(dim, int) else dim
         parts = 1 if device != "cpu" else min(cores or core_count(), along)
 
         def record(first: int, last: int) -> Callable[[], object]:
             """Record the launch of the threads ``first`` to ``last`` - 1."""
-            arguments = list(inputs)
-            arguments[place : place + 1] = [first]
-            dims = (last - first, *across)
-            return recorded(kernel, dim=dims, inputs=arguments, outputs=outputs, device=device)
+            return recorded(
+                kernel,
+                dim=(last - first, *across),
+                inputs=[*inputs, first],
+                outputs=outputs,
+                device=device,
+            )
 
         self._whole = record(0, along)
         self._work_s = FIRST_S
@@ -345,8 +277,7 @@ class SplitLaunch:
                 record(a, b)
                 for a, b in pairwise(along * part // parts for part in range(parts + 1))
             ]
-            # calibrate now, not in the first large tick
-            self._choice = SplitChoice(_gain(parts - 1))
+            self._choice = SplitChoice()
 
     def __call__(self) -> None:
         """Run the launch and wait until it is done (on a GPU: until it is queued)."""

@@ -14,7 +14,7 @@ import warp as wp
 from kernels.arrays import Doubles, Doubles2D, Int32s
 from kernels.contact_state import Body, block
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 LANES = 16
 """Number of values in a pack. A pack is read at once.

@@ -14,21 +14,19 @@ voxels.
 
 import warp as wp
 
-from kernels.arrays import Doubles2D, Int32s3D, Shorts2D
-from kernels.bricks import Cell, cell_of, corner8f, corner8i, corners_of
+from kernels.arrays import Vectors
+from kernels.bricks import Bricks, Cell, cell_of, corner8f, corner8i, corners_of
 from kernels.carving import EDGE, corner_offset, distance_at
 from kernels.revolution import Nearest, Revolution, nearest_on, offset_from
 
-wp.set_module_options({"enable_backward": False})
-
-NEVER = wp.constant(65535)  # stored if the tool has not been near
+NEVER = 65535  # stored if the tool has not been near
 # Upper bound of the distance from a voxel's centre to a point in the voxel [voxel].
-CLEAR = wp.constant(0.9)
+CLEAR = 0.9
 # length of bone up to an older cut at which the whole width of an element cuts [voxel]
-RAMP = wp.constant(0.01)
+RAMP = 0.01
 # Upper bound of the sum of RAMP and the errors of tables and tangent spheres [voxel].
-ROUGH = wp.constant(0.05)
-FARTHEST = wp.constant(2.0)  # upper limit of a difference [voxel]
+ROUGH = 0.05
+FARTHEST = 2.0  # upper limit of a difference [voxel]
 SLOTS = 64
 """Number of 2 x 2 x 2 blocks whose distances to the tool are stored for a chunk of elements.
 
@@ -36,16 +34,15 @@ Four blocks along each axis are enough, because neighbouring cutting elements us
 Each entry holds the indices of a block, and the distance, bend and slope of the tool's surface at
 the middle of the block. A further entry at the end is 1 if the block entries are valid.
 """
-NOWHERE = wp.constant(-1.0e9)  # index of an empty entry
+NOWHERE = -1.0e9  # index of an empty entry
 
 
 @wp.func
 def bone_left(
     tool: Revolution,
-    pose: Doubles2D,
+    pose: Vectors,
     axis: wp.vec3,
-    brick_of: Int32s3D,
-    older: Shorts2D,
+    bricks: Bricks,
     row: int,
     column: int,
     point: wp.vec3,
@@ -62,7 +59,7 @@ def bone_left(
     ``column``. At the point, the tool has the unit normal ``outward`` and the curvature ``bend``,
     see `Revolution`.
     """
-    kept = int(older[row, column])
+    kept = int(bricks.older[row, column])
     distance = kept_distance(kept)
     if kept == NEVER or distance > CLEAR:
         return FARTHEST
@@ -70,7 +67,7 @@ def bone_left(
         return -FARTHEST
     cell = cell_of(point)
     part = cell.inside
-    corners = corners_of(brick_of, cell, row)
+    corners = corners_of(bricks.brick_of, cell, row)
     stored = corner8i()
     weight = corner8f()
     counted = float(0.0)
@@ -78,7 +75,7 @@ def bone_left(
     for c in range(8):
         stored[c] = NEVER
         if corners.row[c] >= 0:
-            stored[c] = int(older[corners.row[c], corners.column[c]])
+            stored[c] = int(bricks.older[corners.row[c], corners.column[c]])
         away = wp.vec3(float(c >> 2), float((c >> 1) & 1), float(c & 1)) - part
         weight[c] = (1.0 - wp.abs(away[0])) * (1.0 - wp.abs(away[1])) * (1.0 - wp.abs(away[2]))
         # This corner lies more than a voxel outside older cuts, so only the other corners are used.
@@ -117,7 +114,7 @@ def kept_distance(kept: int):
 @wp.func
 def tool_distances(
     tool: Revolution,
-    pose: Doubles2D,
+    pose: Vectors,
     axis: wp.vec3,
     cell: Cell,
     seen: wp.array2d(dtype=corner8f),
@@ -148,13 +145,14 @@ def tool_distances(
         z = (cell.z + (block & 1)) >> 1
         slot = ((x & 3) << 4) | ((y & 3) << 2) | (z & 3)
         kept = seen[chunk, slot]
+        middle = offset_from(pose[0], wp.vec3i(2 * x + 1, 2 * y + 1, 2 * z + 1))
         near = Nearest()
         if kept[0] == float(x) and kept[1] == float(y) and kept[2] == float(z):
             near.distance = kept[3]
             near.bend = kept[4]
             near.slope = wp.vec3(kept[5], kept[6], kept[7])
         else:
-            near = nearest_on(tool, offset_from(pose, 0, 2 * x + 1, 2 * y + 1, 2 * z + 1), axis)
+            near = nearest_on(tool, middle, axis)
             seen[chunk, slot] = corner8f(
                 float(x),
                 float(y),
@@ -170,9 +168,7 @@ def tool_distances(
             offset = corner_offset(c ^ odd)
             found[c] = distance_at(near, offset)
             if near.bend >= EDGE:
-                exact = nearest_on(
-                    tool, offset_from(pose, 0, 2 * x + 1, 2 * y + 1, 2 * z + 1) + offset, axis
-                )
+                exact = nearest_on(tool, middle + offset, axis)
                 found[c] = exact.distance
             c = ((c | odd) + 1) & (7 ^ odd | 8) | block
         block = ((block | (7 ^ odd)) + 1) & (odd | 8)

@@ -42,9 +42,7 @@ from kernels.arrays import (
 from kernels.constants import HALF, ONE, TWO, ZERO
 from kernels.hexahedra import BLOCKS, block_of, corner_gradients
 
-wp.set_module_options({"enable_backward": False})
-
-FULL_STEPS = wp.constant(wp.float64(65535.0))
+FULL_STEPS = wp.float64(65535.0)
 """Stored value of the remaining volume of a particle that has lost no material."""
 
 

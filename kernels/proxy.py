@@ -27,7 +27,7 @@ from kernels.proxy_descent import (
 )
 from kernels.voxmap import Field
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 POSITION, ROTATION, TRAVEL, STATE = 0, 3, 7, 8
 """Indices into the proxy's state array, and number of entries of this array (`STATE`).

@@ -15,29 +15,29 @@ from kernels.arrays import Doubles, Doubles2D, Int32s, Vectors, Vectors2D
 from kernels.constants import ZERO
 from kernels.voxmap import Field, box_distance, voxel_clearance, voxel_level
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 VOXEL_PLANES = 3
 """Number of planes per shell point near voxels: the present plane and two earlier planes."""
-FAR = wp.constant(wp.float64(1.0e30))  # no distance yet [m]
-AHEAD = wp.constant(wp.float64(4.0))
+FAR = wp.float64(1.0e30)  # no distance yet [m]
+AHEAD = wp.float64(4.0)
 """Largest travel, in step lengths, by which a sleeping point may be checked early.
 
 A sleeping point is a shell point far from all obstacles, which is not checked for some time. The
 limit reduces the number of points that are checked on a long path.
 """
-LEAST_SLOPE = wp.constant(wp.float64(0.5))
+LEAST_SLOPE = wp.float64(0.5)
 """Lower limit of the slope of the level, by which the level at a point is divided.
 
 The level is an approximate signed distance from bone voxels, and level / slope is the assumed
 distance. With this limit, the assumed distance is never more than one voxel.
 """
-SAME_DIRECTION = wp.constant(wp.float64(0.99999999))
+SAME_DIRECTION = wp.float64(0.99999999)
 """Cosine of the angle up to which two planes count as equal.
 
 The angle is 1.4e-4 rad, which is larger than rounding errors.
 """
-SLACK = wp.constant(wp.float64(1.0e-3))
+SLACK = wp.float64(1.0e-3)
 """Depth of free space [voxel] that an earlier contact plane may exclude before it is dropped."""
 
 

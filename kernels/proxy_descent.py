@@ -15,9 +15,9 @@ from kernels.constants import HALF, ONE, TWO, ZERO
 from kernels.proxy_contacts import Contacts
 from kernels.proxy_forces import resolve
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
-SMALL = wp.constant(wp.float64(1.0e-8))
+SMALL = wp.float64(1.0e-8)
 """Angle [rad], or sine, below which a ratio of sines is replaced by its limit for angle 0."""
 
 
@@ -88,9 +88,9 @@ STALLS = 2
 A stall is a step that hardly decreases the energy of the springs between proxy and device. Stalls
 occur near voxels, where the proxy may oscillate across creases of the bone surface.
 """
-LITTLE = wp.constant(wp.float64(1.0e-4))
+LITTLE = wp.float64(1.0e-4)
 """Relative decrease of the spring energy below which a step near voxels counts as a stall."""
-TOO_DEEP = wp.constant(wp.float64(0.1))
+TOO_DEEP = wp.float64(0.1)
 """Penetration of a tool point, relative to the step length, above which the step is undone."""
 
 
@@ -153,11 +153,10 @@ def first_touch(contacts: Contacts, count: int, shift: wp.vec3d, turn: wp.vec3d)
 
 
 @wp.func
-def contact_sums(contacts: Contacts, members: int):
-    """Sum the normal forces of the planes in the active set, that is, of the planes with force.
+def reaction_of(contacts: Contacts, members: int, rub: wp.vec3d, arm: wp.vec3d):
+    """Return the sum of the contact forces: normal forces of the active set, and friction ``rub``.
 
-    Forces and moments are divided by the coupling's stiffness. Return the number of planes with
-    force, the sum of the forces [m], the sum of the moments [m2], and the centre of pressure [m].
+    The active set consists of the planes with force. The friction acts at ``arm``.
     """
     pressing = int(0)
     force = wp.vec3d()
@@ -175,7 +174,14 @@ def contact_sums(contacts: Contacts, members: int):
             total += press
     if total > ZERO:
         centre /= total
-    return pressing, force, moment, centre
+    reaction = Reaction()
+    reaction.pressing = pressing
+    reaction.force = force + rub
+    reaction.moment = moment + wp.cross(arm, rub)
+    reaction.centre = centre
+    reaction.rub = rub
+    reaction.arm = arm
+    return reaction
 
 
 @wp.func
@@ -238,39 +244,6 @@ def aim_at(
 
 
 @wp.func
-def react(
-    contacts: Contacts, count: int, settings: DescentSettings, descent: Descent, last: Reaction
-):
-    """Compute the contact forces that act on the tool during a motion.
-
-    Return the sum of the forces, divided by the stiffness of the coupling spring, and the number of
-    linear systems solved.
-    """
-    reaction = Reaction()
-    compliance = settings.compliance
-    members, solves, rub, arm = resolve(
-        contacts,
-        count,
-        compliance,
-        settings.friction,
-        settings.tolerance,
-        descent.shift,
-        descent.turn,
-        last.rub,
-        last.arm,
-        descent.near,
-    )
-    pressing, force, moment, centre = contact_sums(contacts, members)
-    reaction.pressing = pressing
-    reaction.force = force + rub
-    reaction.moment = moment + wp.cross(arm, rub)
-    reaction.centre = centre
-    reaction.rub = rub
-    reaction.arm = arm
-    return reaction, solves
-
-
-@wp.func
 def constrain_motion(
     before: Descent,
     last: Reaction,
@@ -292,7 +265,19 @@ def constrain_motion(
             descent.shift = before.shift * touch
             descent.turn = before.turn * touch
             return descent, last, 0
-    reaction, solves = react(contacts, count, settings, before, last)
+    members, solves, rub, arm = resolve(
+        contacts,
+        count,
+        settings.compliance,
+        settings.friction,
+        settings.tolerance,
+        before.shift,
+        before.turn,
+        last.rub,
+        last.arm,
+        before.near,
+    )
+    reaction = reaction_of(contacts, members, rub, arm)
     descent.solves = before.solves + solves
     descent.shift = before.shift + reaction.force
     descent.turn = before.turn + settings.compliance * reaction.moment

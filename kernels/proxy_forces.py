@@ -28,7 +28,7 @@ import warp as wp
 from kernels.constants import HALF, ONE, ZERO
 from kernels.proxy_contacts import Contacts
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 MEMBERS = 8
 """Largest number of planes in the active set.
@@ -40,7 +40,7 @@ ROUNDS = 64
 
 The number is several times `MEMBERS`, because a plane may leave and join again.
 """
-TINY = wp.constant(wp.float64(1.0e-13))
+TINY = wp.float64(1.0e-13)
 """Relative increase of the matrix diagonal, which regularises linearly dependent planes."""
 
 
@@ -213,13 +213,13 @@ The bound depends on the normal forces, and the normal forces depend on friction
 """
 NEWTON_STEPS = 30
 """Largest number of Newton steps in `slipping_force`, which converge quadratically."""
-SOFT = wp.constant(wp.float64(1.0e-11))
+SOFT = wp.float64(1.0e-11)
 """Compliance that is added at a point, because planes may hold the point fixed.
 
 At a point without compliance, the friction force would not be determined. For comparison, a free
 point has a compliance of about 1.
 """
-EXACT = wp.constant(wp.float64(1.0e-13))
+EXACT = wp.float64(1.0e-13)
 """Relative change of the friction force's upper bound at which the iteration ends."""
 
 

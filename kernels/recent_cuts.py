@@ -12,16 +12,16 @@ Rotations of the tool are included to second order.
 
 import warp as wp
 
-from kernels.arrays import Singles2D
-from kernels.elements import LANES, Elements, lanes8
-
-wp.set_module_options({"enable_backward": False})
+from kernels.elements import LANES, Elements, Lanes3, along, lanes3, lanes8, products, vectors_in
 
 # Number of poses between two checks whether the remaining poses can be skipped; chosen.
-CHECKED = wp.constant(8)
+CHECKED = 8
 # Smallest distance to the surface of the most recent cuts at which bone counts as cut [m]. It is
 # also the width over which an element's share falls to 0 at this surface.
-CLOSE = wp.constant(2.0e-8)
+CLOSE = 2.0e-8
+
+Poses2D = wp.array2d(dtype=wp.vec3)
+"""Displacements [m] and rotations [rad] from the present pose, shape (poses, 2)."""
 
 
 @wp.struct
@@ -34,7 +34,7 @@ class Poses:
 
 @wp.func
 def poses_in_front(
-    recent: Singles2D,
+    recent: Poses2D,
     elements: Elements,
     chunk: int,
     first: int,
@@ -59,12 +59,12 @@ def poses_in_front(
         half = float(0.0)
         for eight in range(first, last):
             half = wp.max(half, 0.5 * wp.max(elements.curvature[eight]))
-        present = wp.vec3(recent[0, 0], recent[0, 1], recent[0, 2])
+        present = recent[0, 0]
         curved = half * wp.dot(present, present)
         poses.first = recent.shape[0]
         poses.last = 0
         for j in range(recent.shape[0]):
-            moved = wp.vec3(recent[j, 0], recent[j, 1], recent[j, 2]) - present
+            moved = recent[j, 0] - present
             reached = wp.dot(moved, axis) + wp.length(moved) * differ + curved
             if reached > 0.5 * CLOSE:
                 poses.first = wp.min(poses.first, j)
@@ -74,7 +74,7 @@ def poses_in_front(
 
 @wp.func
 def recently_cut(
-    recent: Singles2D,
+    recent: Poses2D,
     elements: Elements,
     eight: int,
     turns: bool,
@@ -89,24 +89,23 @@ def recently_cut(
     gap = lanes8()
     if poses.first >= poses.last:
         return gap
-    nx = elements.lanes[eight, 3]
-    ny = elements.lanes[eight, 4]
-    nz = elements.lanes[eight, 5]
+    normal = vectors_in(elements.lanes, eight, 3)
     half = 0.5 * elements.curvature[eight]
-    present = cut_straight(recent, 0, nx, ny, nz, half)
+    present = cut_straight(recent[0, 0], normal, half)
     if turns:
-        present = cut_turned(recent, elements, eight, 0, nx, ny, nz, half)
+        present = cut_turned(recent[0, 0], recent[0, 1], elements, eight, normal, half)
     most = present
     j = poses.first
     while j < poses.last:
         end = wp.min(j + CHECKED, poses.last)
         if turns:
             while j < end:
-                most = wp.max(most, cut_turned(recent, elements, eight, j, nx, ny, nz, half))
+                cut = cut_turned(recent[j, 0], recent[j, 1], elements, eight, normal, half)
+                most = wp.max(most, cut)
                 j += 1
         else:
             while j < end:
-                most = wp.max(most, cut_straight(recent, j, nx, ny, nz, half))
+                most = wp.max(most, cut_straight(recent[j, 0], normal, half))
                 j += 1
         # The remaining poses cannot change which elements have bone within reach.
         if wp.min(most - present) > CLOSE and wp.min(most) > enough:
@@ -118,47 +117,33 @@ def recently_cut(
 
 
 @wp.func
-def cut_straight(recent: Singles2D, j: int, nx: lanes8, ny: lanes8, nz: lanes8, half: lanes8):
-    """Compute how far [m] in front of eight elements a tool without rotation cut at pose ``j``."""
-    mx = recent[j, 0]
-    my = recent[j, 1]
-    mz = recent[j, 2]
-    across = mx * nx + my * ny + mz * nz
-    square = lanes8(mx * mx + my * my + mz * mz)
+def cut_straight(moved: wp.vec3, normal: Lanes3, half: lanes8):
+    """Compute how far [m] in front of eight elements a tool cut that only ``moved`` [m]."""
+    across = along(moved, normal)
+    square = lanes8(moved[0] * moved[0] + moved[1] * moved[1] + moved[2] * moved[2])
     return across - wp.cw_mul(half, square - wp.cw_mul(across, across))
 
 
 @wp.func
 def cut_turned(
-    recent: Singles2D,
-    elements: Elements,
-    eight: int,
-    j: int,
-    nx: lanes8,
-    ny: lanes8,
-    nz: lanes8,
-    half: lanes8,
+    moved: wp.vec3, turn: wp.vec3, elements: Elements, eight: int, normal: Lanes3, half: lanes8
 ):
-    """Compute how far [m] in front of eight elements a tool with rotation cut at pose ``j``."""
-    mx = recent[j, 0]
-    my = recent[j, 1]
-    mz = recent[j, 2]
+    """Compute how far [m] in front of eight elements a tool cut that has moved and turned."""
     # To second order in the rotation w, an element at p with normal n moves by w x p, and the
     # surface at its new position rises by (w x n) . (w x p / 2 + moved). The rotation about the
     # tool's axis is omitted.
-    px = elements.lanes[eight, 0]
-    py = elements.lanes[eight, 1]
-    pz = elements.lanes[eight, 2]
-    wx = recent[j, 3]
-    wy = recent[j, 4]
-    x = wy * pz
-    y = -wx * pz
-    z = wx * py - wy * px
-    risen = wp.cw_mul(wy * nz, 0.5 * x + lanes8(mx)) - wp.cw_mul(wx * nz, 0.5 * y + lanes8(my))
-    risen += wp.cw_mul(wx * ny - wy * nx, 0.5 * z + lanes8(mz))
-    x += lanes8(mx)
-    y += lanes8(my)
-    z += lanes8(mz)
-    across = wp.cw_mul(x, nx) + wp.cw_mul(y, ny) + wp.cw_mul(z, nz)
-    square = wp.cw_mul(x, x) + wp.cw_mul(y, y) + wp.cw_mul(z, z)
+    point = vectors_in(elements.lanes, eight, 0)
+    wx = turn[0]
+    wy = turn[1]
+    mx = lanes8(moved[0])
+    my = lanes8(moved[1])
+    mz = lanes8(moved[2])
+    x = wy * point.z
+    y = -wx * point.z
+    z = wx * point.y - wy * point.x
+    risen = wp.cw_mul(wy * normal.z, 0.5 * x + mx) - wp.cw_mul(wx * normal.z, 0.5 * y + my)
+    risen += wp.cw_mul(wx * normal.y - wy * normal.x, 0.5 * z + mz)
+    new = lanes3(x + mx, y + my, z + mz)
+    across = products(new, normal)
+    square = products(new, new)
     return across - wp.cw_mul(half, square - wp.cw_mul(across, across)) + risen

@@ -5,7 +5,7 @@ Lengths are in voxels.
 
 import warp as wp
 
-from kernels.arrays import Doubles2D, Singles2D
+from kernels.arrays import Singles2D
 
 EDGE_BEND = 8.0
 """Value of `Revolution.bend` that marks an edge of the tool's profile.
@@ -86,14 +86,10 @@ def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
 
 
 @wp.func
-def offset_from(pose: Doubles2D, row: int, ix: int, iy: int, iz: int):
-    """Return the vector [voxel] from the tool's tip to the lowest corner of voxel (ix, iy, iz).
+def offset_from(tip: wp.vec3d, voxel: wp.vec3i):
+    """Return the vector [voxel] from the tool's tip to the lowest corner of a voxel.
 
-    The lowest corner has the smallest x, y and z. The tip's position is read from ``row`` of
-    ``pose``. The difference is computed in double precision and returned in single precision.
+    The lowest corner has the smallest x, y and z. The difference is computed in double precision
+    and returned in single precision.
     """
-    return wp.vec3(
-        float(wp.float64(ix) - pose[row, 0]),
-        float(wp.float64(iy) - pose[row, 1]),
-        float(wp.float64(iz) - pose[row, 2]),
-    )
+    return wp.vec3(wp.vec3d(voxel) - tip)

@@ -6,21 +6,21 @@ triangle.
 
 import warp as wp
 
-from kernels.arrays import Doubles2D, Int32s, Vectors
+from kernels.arrays import Int32s, Vectors
 from kernels.constants import ONE
-from kernels.contact_state import NEARBY, Body, Lists, Points, pose_of
+from kernels.contact_state import NEARBY, SHELL, Body, Lists, Points, pose_of
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
-TWICE = wp.constant(wp.float64(2.0))
+TWICE = wp.float64(2.0)
 """Upper bound of the distance between two points of a triangle, in radii of its bounding ball."""
-GRAZING = wp.constant(wp.float64(0.1))
+GRAZING = wp.float64(0.1)
 """Smallest cosine between a shell point's normal and the inward triangle normal for a contact.
 
 The angle is 84 degrees. At this angle, the distance from the point to the triangle's plane is ten
 times as long along the point's normal as along the perpendicular.
 """
-EDGE = wp.constant(wp.float64(-1e-9))
+EDGE = wp.float64(-1e-9)
 """Smallest barycentric weight at which a point is treated as a point of the triangle.
 
 The value is slightly negative, so a point on an edge belongs to the triangles on both sides of the
@@ -33,12 +33,12 @@ def project_shell(
     # tool
     shell_point: Vectors,  # [point], in the tool's frame [m]
     shell_normal: Vectors,
-    pose_rows: Doubles2D,
+    pose_rows: Vectors,
     reach: wp.float64,  # [m]
-    offset: int,
     # body
     body: Body,
     lists: Lists,
+    offset: int,
     # out
     points_out: Points,
     triangle_out: Int32s,  # [point], -1 if the point meets no triangle
@@ -49,7 +49,7 @@ def project_shell(
     since the last tick (1 ms step). ``reach`` is the radius of the largest triangle [m].
     """
     i = wp.tid() + offset
-    pose = pose_of(pose_rows)
+    pose = pose_of(pose_rows, SHELL, wp.vec2d())
     place = pose.tip + pose.turn * shell_point[i]
     direction = pose.turn * shell_normal[i]
     points_out.tool_point[i] = place

@@ -11,24 +11,24 @@ interpolation in a grid of distances.
 
 import warp as wp
 
-from kernels.arrays import Doubles, Doubles2D, Int32s, Singles, Singles3D, Vectors, Vectors2D
+from kernels.arrays import Doubles, Int32s, Singles, Singles3D, Vectors, Vectors2D
 from kernels.constants import HALF, ZERO
 from kernels.elements import CHUNK, Elements
-from kernels.structure_depth import MedialAxis, first_ball_inside, over_balls
+from kernels.structure_depth import AxisCell, MedialAxis, first_ball_inside, over_balls
 from kernels.tool_distance import TOLERANCE_M, Outline, bounds_over, distance_to_part, widened
 
-wp.set_module_options({"enable_backward": False})
-
-NODES, TRIANGLES = wp.constant(256), wp.constant(256)
+NODES, TRIANGLES = 256, 256
 """Numbers of rows of two search stacks: stack of tree nodes, and stack of triangles."""
-DOUBLING = wp.constant(10000)
+DOUBLING = 10000
 """Number of distance evaluations after which the tolerance of a long search doubles.
 
 Consider a 3.2 mm drill on the axis of a tube. For a tube of 51,000 triangles, the error is 0.001
 mm, and a tick takes 3 ms. For 205,000 triangles, the error is 0.13 mm, and a tick takes 9 ms. With
 a value of 2,000 instead, the latter error is 0.48 mm, and the tick takes 4 ms.
 """
-LEAF = wp.constant(4)
+DEEP_M = wp.float64(1.0e-3)
+"""Depth of the structure's surface in the tool [m] above which an overlap counts as deep."""
+LEAF = 4
 """Number of triangles in a leaf of the tree, equal to `meshes.surfaces.box_tree.LEAF`."""
 
 
@@ -108,17 +108,14 @@ def smallest_in_triangle(
 
 
 @wp.func
-def in_tool(motion: Doubles2D, point: wp.vec3d):
+def in_tool(motion: Vectors, point: wp.vec3d):
     """Convert a point from the structure's frame to the tool's frame."""
-    p = point - wp.vec3d(motion[0, 0], motion[0, 1], motion[0, 2])
-    x = motion[1, 0] * p[0] + motion[1, 1] * p[1] + motion[1, 2] * p[2]
-    y = motion[2, 0] * p[0] + motion[2, 1] * p[1] + motion[2, 2] * p[2]
-    z = motion[3, 0] * p[0] + motion[3, 1] * p[1] + motion[3, 2] * p[2]
-    return wp.vec3d(x, y, z)
+    p = point - motion[0]
+    return wp.vec3d(wp.dot(motion[1], p), wp.dot(motion[2], p), wp.dot(motion[3], p))
 
 
 @wp.func
-def node_bound(outline: Outline, tree: Tree, motion: Doubles2D, node: int):
+def node_bound(outline: Outline, tree: Tree, motion: Vectors, node: int):
     """Compute a lower bound of the distance between the tool and the box of a tree node."""
     half = tree.half[node]
     # 1e9 m stands for no bound, so that an empty node is never searched.
@@ -132,13 +129,9 @@ def node_bound(outline: Outline, tree: Tree, motion: Doubles2D, node: int):
             drop = wp.length(half)
             if outline.convex[part] == 1:
                 drop = wp.float64(0.0)
+                slope = gradient[0] * motion[1] + gradient[1] * motion[2] + gradient[2] * motion[3]
                 for axis in range(3):
-                    slope = (
-                        gradient[0] * motion[1, axis]
-                        + gradient[1] * motion[2, axis]
-                        + gradient[2] * motion[3, axis]
-                    )
-                    drop += wp.abs(slope) * half[axis]
+                    drop += wp.abs(slope[axis]) * half[axis]
             bound = wp.min(bound, value - drop)
     return bound
 
@@ -147,7 +140,7 @@ def node_bound(outline: Outline, tree: Tree, motion: Doubles2D, node: int):
 def over_surface(
     outline: Outline,
     tree: Tree,
-    motion: Doubles2D,
+    motion: Vectors,
     last_leaf: Int32s,
     nodes: Int32s,
     node_bounds: Doubles,
@@ -204,13 +197,13 @@ def over_surface(
 
 @wp.kernel
 def distance_to_structure(
-    first_thread: int,
     outline: Outline,
     tree: Tree,
     mesh: wp.uint64,
     # rows: tip [m]; tool axes x, y, z, in the structure's frame
-    motion: Doubles2D,
+    motion: Vectors,
     medial: MedialAxis,
+    deep: MedialAxis,  # used for deep overlaps
     # scratch arrays
     last_leaf_out: Int32s,
     nodes_out: Int32s,
@@ -218,7 +211,8 @@ def distance_to_structure(
     stack_out: Vectors2D,
     bounds_out: Doubles,
     last_segment_out: Int32s,
-    cells_out: Doubles2D,
+    cells_out: wp.array(dtype=AxisCell),
+    first_thread: int,
     # out
     distance_out: Doubles,  # [m], negative where tool and structure overlap
 ):
@@ -229,7 +223,10 @@ def distance_to_structure(
     if smallest < ZERO or first_ball_inside(mesh, motion, medial):
         # The surfaces touch, or the whole tool is inside. Compute how deep the balls of the tool
         # lie in the structure.
-        smallest = over_balls(mesh, motion, medial, smallest, last_segment_out, cells_out)
+        if smallest < -DEEP_M:
+            smallest = over_balls(mesh, motion, deep, smallest, last_segment_out, cells_out)
+        else:
+            smallest = over_balls(mesh, motion, medial, smallest, last_segment_out, cells_out)
     distance_out[0] = smallest
 
 
@@ -246,15 +243,21 @@ def clipped(distance: Singles3D, i: int, j: int, k: int):
     ]
 
 
+@wp.func
+def along_z(distance: Singles3D, i: int, j: int, k: int, share: float):
+    """Interpolate the stored distance [m] between the grid voxels (i, j, k) and (i, j, k + 1)."""
+    return wp.lerp(clipped(distance, i, j, k), clipped(distance, i, j, k + 1), share)
+
+
 @wp.kernel
 def clearance(
     # tool
     elements: Elements,
-    motion: Doubles2D,  # rows: tip [voxel]; tool axes x, y, z
+    motion: Vectors,  # rows: tip [voxel]; tool axes x, y, z
     spacing: float,  # [m]
-    chunk_offset: int,
     # field
     distance: Singles3D,  # at voxel centres [m]
+    chunk_offset: int,
     # out
     least_out: Singles,  # [chunk], smallest distance of the chunk's elements [m]
 ):
@@ -267,27 +270,15 @@ def clearance(
     least = float(1.0e9)
     for e in range(chunk * CHUNK, wp.min(chunk * CHUNK + CHUNK, elements.point.shape[0])):
         arm = elements.point[e] / spacing
-        x = float(motion[0, 0]) + arm[0] * float(motion[1, 0]) + arm[1] * float(motion[2, 0])
-        y = float(motion[0, 1]) + arm[0] * float(motion[1, 1]) + arm[1] * float(motion[2, 1])
-        z = float(motion[0, 2]) + arm[0] * float(motion[1, 2]) + arm[1] * float(motion[2, 2])
-        x += arm[2] * float(motion[3, 0]) - 0.5
-        y += arm[2] * float(motion[3, 1]) - 0.5
-        z += arm[2] * float(motion[3, 2]) - 0.5
-        i = int(wp.floor(x))
-        j = int(wp.floor(y))
-        k = int(wp.floor(z))
-        fx = x - float(i)
-        fy = y - float(j)
-        fz = z - float(k)
-        near = wp.lerp(
-            wp.lerp(clipped(distance, i, j, k), clipped(distance, i, j, k + 1), fz),
-            wp.lerp(clipped(distance, i, j + 1, k), clipped(distance, i, j + 1, k + 1), fz),
-            fy,
-        )
-        far = wp.lerp(
-            wp.lerp(clipped(distance, i + 1, j, k), clipped(distance, i + 1, j, k + 1), fz),
-            wp.lerp(clipped(distance, i + 1, j + 1, k), clipped(distance, i + 1, j + 1, k + 1), fz),
-            fy,
-        )
-        least = wp.min(least, wp.lerp(near, far, fx))
+        place = wp.vec3(motion[0]) + arm[0] * wp.vec3(motion[1]) + arm[1] * wp.vec3(motion[2])
+        place += arm[2] * wp.vec3(motion[3]) - wp.vec3(0.5)
+        i = int(wp.floor(place[0]))
+        j = int(wp.floor(place[1]))
+        k = int(wp.floor(place[2]))
+        fy = place[1] - float(j)
+        fz = place[2] - float(k)
+        near = wp.lerp(along_z(distance, i, j, k, fz), along_z(distance, i, j + 1, k, fz), fy)
+        i += 1
+        far = wp.lerp(along_z(distance, i, j, k, fz), along_z(distance, i, j + 1, k, fz), fy)
+        least = wp.min(least, wp.lerp(near, far, place[0] - float(i - 1)))
     least_out[chunk] = least

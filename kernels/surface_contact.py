@@ -15,7 +15,7 @@ triangle becomes a working triangle.
 
 import warp as wp
 
-from kernels.arrays import Doubles, Doubles2D
+from kernels.arrays import Doubles, Vectors
 from kernels.constants import ZERO
 from kernels.contact_search import join_touching, start_over
 from kernels.contact_state import (
@@ -41,7 +41,7 @@ from kernels.contact_state import (
 )
 from kernels.near_compliance import LOADED, SLOTS, Patch, move_all, moved_at, push
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 
 @wp.func
@@ -57,8 +57,6 @@ def turn_of(
     body: Body,
     points: Points,
     patch: Patch,
-    kind: int,
-    size: wp.vec2d,
     pose: Pose,
     friction: wp.float64,
     triangle: int,
@@ -87,7 +85,7 @@ def turn_of(
         weight = points.weight[point]
         place = weight[0] * pa + weight[1] * pb + weight[2] * pc
         old = points.force[point]
-        distance, direction = distance_to(kind, size, pose, points, point, place)
+        distance, direction = distance_to(pose, points, point, place)
         if distance < ZERO or wp.length_sq(old) > ZERO:
             compliance = points.response[point, 3]
             slip = place - points.anchor[point]
@@ -136,8 +134,6 @@ def report(
     points: Points,
     lists: Lists,
     patch: Patch,
-    kind: int,
-    size: wp.vec2d,
     pose: Pose,
     slack: wp.float64,
     state: int,
@@ -164,7 +160,7 @@ def report(
                 node = body.corners[triangle, a]
                 place += weight[a] * (body.free[node] + moved_at(patch, patch.slot[node]))
             carried = points.force[point]
-            distance, direction = distance_to(kind, size, pose, points, point, place)
+            distance, direction = distance_to(pose, points, point, place)
             deepest = wp.max(deepest, -distance)
             compliance = points.response[point, 3]
             # The compliance along the normal is only a rounding error. The body cannot yield at
@@ -196,7 +192,7 @@ def solve_contact(
     # tool
     kind: int,
     size: wp.vec2d,  # [m]
-    pose_rows: Doubles2D,
+    pose_rows: Vectors,
     # law and limits
     friction: wp.float64,
     tolerance: wp.float64,  # largest change of a point, relative to the largest displacement
@@ -213,10 +209,10 @@ def solve_contact(
     A triangle is working if it touches the tool or carries force. The sweeps end when the contact
     points no longer move and the tool penetrates no other triangle, or after ``sweeps`` sweeps.
     """
-    pose = pose_of(pose_rows)
+    pose = pose_of(pose_rows, kind, size)
     state = int(RUN_OUT)
     start_over(body_out, points_out, lists_out, patch_out, pose)
-    join_touching(body_out, points_out, lists_out, patch_out, kind, size, pose)
+    join_touching(body_out, points_out, lists_out, patch_out, pose)
     move_all(body_out, patch_out, patch_out.count[LOADED])
     largest = wp.float64(0.0)
     sweep = int(0)
@@ -226,13 +222,13 @@ def solve_contact(
         largest = wp.float64(0.0)
         for k in range(lists_out.count[WORKING]):
             step, moved = turn_of(
-                body_out, points_out, patch_out, kind, size, pose, friction, lists_out.working[k]
+                body_out, points_out, patch_out, pose, friction, lists_out.working[k]
             )
             worst = wp.max(worst, step)
             largest = wp.max(largest, moved)
         if worst <= tolerance * largest:
             sum_loads(body_out, points_out, lists_out, patch_out)
-            joined = join_touching(body_out, points_out, lists_out, patch_out, kind, size, pose)
+            joined = join_touching(body_out, points_out, lists_out, patch_out, pose)
             if joined == 0:
                 state = int(DONE)
     if lists_out.count[WORKING] == 0:
@@ -246,8 +242,6 @@ def solve_contact(
         points_out,
         lists_out,
         patch_out,
-        kind,
-        size,
         pose,
         tolerance * largest,
         state,

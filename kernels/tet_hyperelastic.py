@@ -40,16 +40,13 @@ from kernels.arrays import (
 from kernels.constants import HALF, ONE, THREE, TWO, ZERO
 from kernels.tetrahedra import write_pair
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
-SWEEPS = wp.constant(12)
+SWEEPS = 12
 """Largest number of sweeps of Jacobi's eigenvalue method. About five sweeps are needed."""
-EQUAL = wp.constant(wp.float64(1.0e-5))  # as in tissue.materials.hyperelasticity
-LEAST = wp.constant(wp.float64(1.0e-3))
+EQUAL = wp.float64(1.0e-5)  # as in tissue.materials.hyperelasticity
+LEAST = wp.float64(1.0e-3)
 """Smallest eigenvalue of the positive definite tangent, relative to the shear modulus."""
-
-
-IDENTITY = wp.constant(wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
 
 
 @wp.func
@@ -77,7 +74,7 @@ def deformation(
     displacement: Vectors,
 ):
     """Compute the deformation gradient of a cell at quadrature point ``q``."""
-    f = wp.mat33d(IDENTITY)
+    f = wp.identity(n=3, dtype=wp.float64)
     for a in range(nodes.shape[1]):
         f += wp.outer(displacement[nodes[cell, a]], gradient_of(cell, q, a, reference, corner))
     return f

@@ -33,7 +33,7 @@ from kernels.arrays import (
 )
 from kernels.constants import ZERO
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 
 @wp.kernel

@@ -9,24 +9,22 @@ import warp as wp
 from kernels.arrays import Doubles2D, Int32s
 from kernels.constants import HALF, ONE, THREE, TWO, ZERO
 
-wp.set_module_options({"enable_backward": False})
-
-TOLERANCE_M = wp.constant(wp.float64(1.0e-6))
+TOLERANCE_M = wp.float64(1.0e-6)
 """Largest accepted difference [m] between the smallest distance and its lower bound."""
-MOST_EVALUATIONS = wp.constant(20000)
+MOST_EVALUATIONS = 20000
 """Number of distance evaluations after which the tolerance of a search grows.
 
 20,000 evaluations of the distance between a tool and a triangle take about 2 ms.
 """
-STEPS = wp.constant(10)
+STEPS = 10
 """Number of gradient-descent steps within a triangle before the triangle is halved.
 
 With this value, a distance query for a ball burr near a sphere of 5120 triangles takes 68 us. With
 5 steps, such a query takes 78 us, and with 20 steps 72 us.
 """
-TIE_M = wp.constant(wp.float64(1.0e-12))
+TIE_M = wp.float64(1.0e-12)
 """Difference [m] below which the distances from two pieces of an outline count as equal."""
-ARC = wp.constant(1)
+ARC = 1
 
 
 @wp.struct

@@ -17,16 +17,16 @@ from kernels.arrays import Int32s3D, Matrices, Shorts2D, Singles3D, Vectors
 from kernels.bricks import voxel_column, voxel_row
 from kernels.constants import HALF, ONE, ZERO
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 CELL = 2
 """Edge length [voxel] of a cell of the grid `Field.clearance`."""
 SURFACE = 0.25
 """Trilinearly interpolated voxel fraction on the surface that the tool touches."""
-LEVEL = wp.constant(wp.float64(SURFACE))
-STEP = wp.constant(wp.float64(1.0 / 65535.0))
+LEVEL = wp.float64(SURFACE)
+STEP = wp.float64(1.0 / 65535.0)
 """Filled fraction that one stored step represents, see `kernels.bricks.FULL`."""
-CELLS_PER_VOXEL = wp.constant(wp.float64(1.0 / CELL))
+CELLS_PER_VOXEL = wp.float64(1.0 / CELL)
 
 
 @wp.struct
@@ -77,22 +77,21 @@ def box_distance(field: Field, box: int, point: wp.vec3d):
 @wp.func
 def voxel_clearance(field: Field, point: wp.vec3d):
     """Return a lower bound of the distance [m] from a point to the contact range of bone voxels."""
-    ux = (point[0] - field.origin[0]) * field.voxels_per_m
-    uy = (point[1] - field.origin[1]) * field.voxels_per_m
-    uz = (point[2] - field.origin[2]) * field.voxels_per_m
-    nx = field.clearance.shape[0]
-    ny = field.clearance.shape[1]
-    nz = field.clearance.shape[2]
-    cx = wp.clamp(int(wp.floor(ux * CELLS_PER_VOXEL)), 0, nx - 1)
-    cy = wp.clamp(int(wp.floor(uy * CELLS_PER_VOXEL)), 0, ny - 1)
-    cz = wp.clamp(int(wp.floor(uz * CELLS_PER_VOXEL)), 0, nz - 1)
-    bound = wp.float64(field.clearance[cx, cy, cz])
-    if ux < ZERO or uy < ZERO or uz < ZERO or cx == nx - 1 or cy == ny - 1 or cz == nz - 1:
+    place = (point - field.origin) * field.voxels_per_m
+    cell = wp.vec3i()
+    beyond = wp.vec3d()
+    outermost = int(0)
+    for c in range(3):
+        last = field.clearance.shape[c] - 1
+        cell[c] = wp.clamp(int(wp.floor(place[c] * CELLS_PER_VOXEL)), 0, last)
+        if place[c] < ZERO or cell[c] == last:
+            outermost = 1
         # A voxel has an effect up to half a voxel outside its faces, also outside the grid.
-        ax = ux - wp.clamp(ux, -HALF, wp.float64(CELL * nx) + HALF)
-        ay = uy - wp.clamp(uy, -HALF, wp.float64(CELL * ny) + HALF)
-        az = uz - wp.clamp(uz, -HALF, wp.float64(CELL * nz) + HALF)
-        bound = wp.max(bound, wp.sqrt(ax * ax + ay * ay + az * az) * field.spacing)
+        edge = wp.float64(CELL * (last + 1)) + HALF
+        beyond[c] = place[c] - wp.clamp(place[c], -HALF, edge)
+    bound = wp.float64(field.clearance[cell[0], cell[1], cell[2]])
+    if outermost == 1:
+        bound = wp.max(bound, wp.length(beyond) * field.spacing)
     return bound
 
 
@@ -135,12 +134,10 @@ def voxel_level(field: Field, point: wp.vec3d):
     The level is positive outside and zero on the surface. Also return the gradient of the level,
     which has a length of about one near the surface.
     """
-    ux = (point[0] - field.origin[0]) * field.voxels_per_m - HALF
-    uy = (point[1] - field.origin[1]) * field.voxels_per_m - HALF
-    uz = (point[2] - field.origin[2]) * field.voxels_per_m - HALF
-    ix = int(wp.floor(ux))
-    iy = int(wp.floor(uy))
-    iz = int(wp.floor(uz))
+    place = (point - field.origin) * field.voxels_per_m - wp.vec3d(HALF)
+    ix = int(wp.floor(place[0]))
+    iy = int(wp.floor(place[1]))
+    iz = int(wp.floor(place[2]))
     # -2: the eight voxels may lie in several bricks.
     row = int(-2)
     if (ix & 7) < 7 and (iy & 7) < 7 and (iz & 7) < 7:
@@ -148,9 +145,9 @@ def voxel_level(field: Field, point: wp.vec3d):
         if row < 0:
             # All eight voxels are empty.
             return LEVEL * field.spacing, wp.vec3d()
-    fx = ux - wp.float64(ix)
-    fy = uy - wp.float64(iy)
-    fz = uz - wp.float64(iz)
+    fx = place[0] - wp.float64(ix)
+    fy = place[1] - wp.float64(iy)
+    fz = place[2] - wp.float64(iz)
     a0, a1 = column_pair(field.brick_of, field.remaining, row, ix, iy, iz)
     b0, b1 = column_pair(field.brick_of, field.remaining, row, ix, iy + 1, iz)
     c0, c1 = column_pair(field.brick_of, field.remaining, row, ix + 1, iy, iz)

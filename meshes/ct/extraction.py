@@ -136,8 +136,11 @@ class BoneOfImage:
         return share
 
 
-def cropped(image: Image, box_mm: Box) -> Image:
+def cropped(image: Image, box_mm: Box, *, stated_in: str = "LPS") -> Image:
     """Crop an image to the voxels whose centres lie in a box [mm, LPS].
+
+    `stated_in` is the coordinate system in which the user stated the box, LPS or RAS. If the box
+    lies in the image in the other system, the error suggests that system.
 
     Raises
     ------
@@ -153,6 +156,12 @@ def cropped(image: Image, box_mm: Box) -> Image:
     if (last - first < 2).any():
         low = origin - 0.5 * spacing
         high = low + spacing * image.values.shape
+        remedy = "choose corners inside the image"
+        # RAS and LPS have opposite signs of x and y
+        other = np.sort(np.array(box_mm) * [-1.0, -1.0, 1.0], axis=0)
+        if (other[0] >= low).all() and (other[1] <= high).all():
+            system = "RAS" if stated_in == "LPS" else "LPS"
+            remedy = f"give --coordinates {system} if the corners are in {system}, or {remedy}"
         raise InputError(
             "crop",
             "leave two voxels or more along each axis",
@@ -160,7 +169,7 @@ def cropped(image: Image, box_mm: Box) -> Image:
                 f"{box_mm[0]} to {box_mm[1]} mm where {image.source} reaches from "
                 f"{np.round(low, 1).tolist()} to {np.round(high, 1).tolist()} mm (LPS)"
             ),
-            "choose corners inside the image",
+            remedy,
         )
     return image.part(tuple(map(slice, first.tolist(), last.tolist())))
 

@@ -9,7 +9,7 @@ computed on a lattice with a spacing of 0.4 mm or one voxel, and interpolated to
 The same crossings determine whether scattered points lie inside a surface.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -372,17 +372,23 @@ class TriangleSampler:
             # A point of a cell with bone that is so far from all kept triangles lies inside,
             # independent of the sign at the nearest triangle.
             corners[needed] = np.where(np.abs(depth) >= margin, np.abs(depth), depth)
-        weight = ((np.arange(step) + 0.5) / step).astype(np.float32)
-        for axis in range(3):
-            low = np.delete(corners, -1, axis=axis)
-            high = np.delete(corners, 0, axis=axis)
-            shape = list(low.shape)
-            shape[axis] *= step
-            along = weight.reshape([-1 if k == axis + 1 else 1 for k in range(4)])
-            low = np.expand_dims(low, axis + 1)
-            high = np.expand_dims(high, axis + 1)
-            corners = (low + (high - low) * along).reshape(shape)
-        return corners
+        return refined(corners, step, axes=(0, 1, 2))
+
+
+def refined(corners: Singles, step: int, *, axes: Iterable[int]) -> Singles:
+    """Interpolate values at lattice points linearly to the centres of voxels, along some axes.
+
+    Along each axis, a cell of the lattice consists of `step` voxels.
+    """
+    weight = ((np.arange(step) + 0.5) / step).astype(np.float32)[:, None]
+    for axis in axes:
+        rows = np.moveaxis(corners, axis, -1)[..., None, :]
+        low = rows[..., :-1]
+        high = rows[..., 1:]
+        between = np.swapaxes(low + (high - low) * weight, -1, -2)
+        size = step * low.shape[-1]
+        corners = np.moveaxis(between.reshape(*between.shape[:-2], size), -1, axis)
+    return np.ascontiguousarray(corners)
 
 
 def _beyond(vertices: Array, faces: Ints, points: Floats, threshold: float) -> tuple[Flags, Flags]:

@@ -35,6 +35,7 @@ from meshes.voxels.distances import (
     surface_of_fractions,
     surface_steps,
 )
+from meshes.voxels.mesh_sampling import refined
 from meshes.voxels.volume import FULL, VoxelVolume
 
 _BLOCKS_AT_ONCE = 256
@@ -229,12 +230,7 @@ def _interpolated(corners: Floats, chosen: Flags) -> Singles:
     values = np.empty((len(bx), 2, 2, 2), dtype=np.float32)
     for i, j, k in np.ndindex(2, 2, 2):
         values[:, i, j, k] = corners[bx + i, by + j, bz + k]
-    weight = ((np.arange(BLOCK) + 0.5) / BLOCK).astype(np.float32)
-    for axis in (1, 2, 3):
-        low, high = np.split(values, 2, axis=axis)
-        along = weight.reshape([-1 if k == axis else 1 for k in range(4)])
-        values = low + (high - low) * along
-    return values
+    return refined(values, BLOCK, axes=(1, 2, 3))
 
 
 def centres_of(index: Ints, spacing_m: float, shift: float) -> Singles:
@@ -424,8 +420,7 @@ def _fill_from_samples(
     fraction, depth = sample(grid)
     out.fraction[...] = np.rint(fraction * FULL)
     index = np.nonzero(out.fraction)
-    numbers = [i + f for i, f in zip(index, grid.first, strict=True)]
-    points = (np.array(numbers, dtype=np.float32) + np.float32(0.5)).T * np.float32(grid.spacing_m)
+    points = centres_of(np.transpose(index) + grid.first, grid.spacing_m, 0.5)
     layer, density = anatomy.classify(points, depth[index])
     out.layer[index] = layer
     out.density[index] = np.rint(density)

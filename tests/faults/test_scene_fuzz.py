@@ -171,7 +171,9 @@ def outcome(path):
 
 def is_sentence(message):
     """Return whether a refusal is one line that holds the given value or key."""
-    has_given = ", got " in message or message.startswith("device must be given for ")
+    has_given = any(
+        part in message for part in (", got ", " is not a known key", "device must be given for ")
+    )
     return "\n" not in message and has_given and 20 < len(message) < 2000
 
 

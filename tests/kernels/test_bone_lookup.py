@@ -9,7 +9,7 @@ import warp as wp
 from bone_in_numpy import bone_of, stored_voxels
 
 from kernels.bone_lookup import Bone, bone_at
-from kernels.bricks import voxel_column, voxel_row
+from kernels.bricks import Bricks, voxel_column, voxel_row
 from meshes.voxels.distances import FAR, INSIDE, OUTSIDE, SURFACE_ZERO, surface_steps
 from meshes.voxels.volume import VoxelVolume
 from tissue.models.bone.bricks import BrickStore
@@ -21,9 +21,7 @@ SHAPE, MISSING = (24, 16, 32), (slice(8, 16), slice(0, 8), slice(16, 24))
 
 @wp.kernel
 def evaluate(
-    brick_of: wp.array3d(dtype=wp.int32),
-    material: wp.array2d(dtype=wp.uint32),
-    nearby: wp.array2d(dtype=wp.uint16),
+    bricks: Bricks,
     point: wp.array(dtype=wp.vec3),
     number_out: wp.array2d(dtype=float),
     slope_out: wp.array(dtype=wp.vec3),
@@ -33,11 +31,11 @@ def evaluate(
     ix = int(wp.floor(at[0]))
     iy = int(wp.floor(at[1]))
     iz = int(wp.floor(at[2]))
-    row = voxel_row(brick_of, ix, iy, iz)
+    row = voxel_row(bricks.brick_of, ix, iy, iz)
     bone = Bone()
     bone.layer = -1
     if row >= 0:
-        bone = bone_at(brick_of, material, nearby, row, voxel_column(ix, iy, iz), at)
+        bone = bone_at(bricks, row, voxel_column(ix, iy, iz), at)
     number_out[i, 0] = bone.distance
     number_out[i, 1] = float(bone.layer)
     number_out[i, 2] = bone.density
@@ -55,12 +53,7 @@ def look_up(volume, points):
     store = BrickStore.from_volume(volume, device="cpu")
     numbers = wp.zeros((len(points), 3), dtype=float, device="cpu")
     slopes = wp.zeros(len(points), dtype=wp.vec3, device="cpu")
-    inputs = [
-        store.brick_of,
-        store.material,
-        store.nearby,
-        wp.array(points, dtype=wp.vec3, device="cpu"),
-    ]
+    inputs = [store.on_device, wp.array(points, dtype=wp.vec3, device="cpu")]
     wp.launch(evaluate, dim=len(points), inputs=inputs, outputs=[numbers, slopes], device="cpu")
     distance, layer, density = numbers.numpy().T
     return store, distance, layer.astype(int), density, slopes.numpy()

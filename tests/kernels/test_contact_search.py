@@ -34,14 +34,14 @@ def join(
     lists: Lists,
     patch: Patch,
     size: wp.vec2d,
-    rows: wp.array2d(dtype=wp.float64),
+    rows: wp.array(dtype=wp.vec3d),
     afresh: int,
     count_out: wp.array(dtype=wp.int32),  # joined
 ):
     """Let entered triangles join, or begin afresh from the points' forces."""
-    pose = pose_of(rows)
+    pose = pose_of(rows, SPHERE, size)
     if afresh == 0:
-        count_out[0] = join_touching(body, points, lists, patch, SPHERE, size, pose)
+        count_out[0] = join_touching(body, points, lists, patch, pose)
     else:
         start_over(body, points, lists, patch, pose)
 
@@ -75,7 +75,7 @@ class Scene:
             np.array([0.0, 0.0, 1.0]) - self.turn.as_matrix()[:, 2]
         )  # the ball's centre above the sheet
         turn = self.turn.as_matrix()
-        self.rows = wp.array(np.vstack([self.tip, turn] * 2), dtype=wp.float64, device="cpu")
+        self.rows = wp.array(np.vstack([self.tip, turn] * 2), dtype=wp.vec3d, device="cpu")
         self.size = wp.vec2d(*PROBE.size_m)
         corners = self.nodes[self.faces]
         self.centres = corners.mean(axis=1)

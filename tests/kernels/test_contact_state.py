@@ -27,7 +27,7 @@ NODES = 4
 def read(
     body: Body,
     points: Points,
-    rows: wp.array2d(dtype=wp.float64),
+    rows: wp.array(dtype=wp.vec3d),
     place: wp.array(dtype=wp.vec3d),
     block_out: wp.array2d(dtype=wp.mat33d),
     moved_out: wp.array2d(dtype=wp.vec3d),
@@ -35,12 +35,12 @@ def read(
     direction_out: wp.array(dtype=wp.vec3d),
 ):
     i = wp.tid()
-    pose = pose_of(rows)
+    pose = pose_of(rows, SHELL, wp.vec2d())
     moved_out[i, 0] = pose.tip + pose.turn * place[i]
     moved_out[i, 1] = pose.last_tip + pose.last_turn * place[i]
     for j in range(place.shape[0]):
         block_out[i, j] = block(body, i, j)
-    distance, direction = distance_to(SHELL, wp.vec2d(), pose, points, i, place[i])
+    distance, direction = distance_to(pose, points, i, place[i])
     distance_out[i] = distance
     direction_out[i] = direction
 
@@ -67,7 +67,7 @@ def test_readings():
     inputs = [
         body,
         points,
-        wp.array(rows, dtype=wp.float64, device="cpu"),
+        wp.array(rows, dtype=wp.vec3d, device="cpu"),
         wp.array(place, dtype=wp.vec3d, device="cpu"),
     ]
     wp.launch(read, dim=NODES, inputs=inputs, outputs=out, device="cpu")
@@ -194,13 +194,13 @@ def test_a_contact_along_any_axis_is_that_along_z_turned(friction):
 def distance_each(
     kind: int,
     size: wp.vec2d,
-    rows: wp.array2d(dtype=wp.float64),
+    rows: wp.array(dtype=wp.vec3d),
     point: wp.array(dtype=wp.vec3d),
     distance_out: wp.array(dtype=wp.float64),
     direction_out: wp.array(dtype=wp.vec3d),
 ):
     i = wp.tid()
-    distance, direction = axis_distance(kind, size, pose_of(rows), point[i])
+    distance, direction = axis_distance(pose_of(rows, kind, size), point[i])
     distance_out[i] = distance
     direction_out[i] = direction
 
@@ -222,7 +222,7 @@ def test_distances_agree_with_numpy_and_their_gradients_with_differences(probe):
         inputs = [
             probe.kind,
             wp.vec2d(*probe.size_m),
-            wp.array(rows, dtype=wp.float64, device="cpu"),
+            wp.array(rows, dtype=wp.vec3d, device="cpu"),
             wp.array(tip + points @ rotation.T, dtype=wp.vec3d, device="cpu"),
         ]
         wp.launch(distance_each, dim=len(points), inputs=inputs, outputs=list(out), device="cpu")

@@ -5,6 +5,7 @@ import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
 
+from kernels.bricks import Bricks
 from kernels.elements import (
     CHUNK,
     LANES,
@@ -15,6 +16,7 @@ from kernels.elements import (
     place_of,
     travel_of,
 )
+from kernels.mirror import filled
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr, pear_bur
@@ -30,11 +32,10 @@ SINGLE = 1e-6
 @wp.kernel
 def ask(
     elements: Elements,
-    motion: wp.array2d(dtype=wp.float64),
+    motion: wp.array(dtype=wp.vec3d),
     spacing: float,
     everywhere: bool,
-    brick_of: wp.array3d(dtype=wp.int32),
-    alive: wp.array(dtype=wp.uint64),
+    bricks: Bricks,
     advance_out: wp.array(dtype=float),
     place_out: wp.array2d(dtype=float),
     may_out: wp.array(dtype=int),
@@ -45,13 +46,13 @@ def ask(
     advance_out[e] = advances[e % LANES]
     for axis in range(3):
         place_out[e, axis] = place_of(elements, e / LANES, travel, axis)[e % LANES]
-    may = may_cut(elements, e / CHUNK, travel, spacing, everywhere, brick_of, alive)
+    may = may_cut(elements, e / CHUNK, travel, spacing, everywhere, bricks)
     may_out[e] = wp.where(may, 1, 0)
 
 
 def launch_ask(model, arrays, *, everywhere):
     store = model.store
-    inputs = [model.elements, model.motion_rows, SPACING_M, everywhere, store.brick_of, store.alive]
+    inputs = [model.elements, model.motion_rows, SPACING_M, everywhere, store.on_device]
     wp.launch(ask, dim=len(arrays[0]), inputs=inputs, outputs=arrays, device="cpu")
 
 
@@ -67,14 +68,13 @@ def layer_of_bone():
 
 @wp.kernel
 def ask_box(
-    brick_of: wp.array3d(dtype=wp.int32),
-    alive: wp.array(dtype=wp.uint64),
+    bricks: Bricks,
     middle: wp.array(dtype=wp.vec3),
     radius: float,
     meets_out: wp.array(dtype=int),
 ):
     i = wp.tid()
-    meets_out[i] = wp.where(meets_bone(brick_of, alive, middle[i], radius), 1, 0)
+    meets_out[i] = wp.where(meets_bone(bricks, middle[i], radius), 1, 0)
 
 
 @pytest.mark.parametrize("radius", [0.4, 5.0, 13.0])
@@ -92,11 +92,8 @@ def test_a_box_meets_the_bricks_that_it_overlaps(radius):
     alive = np.where(random.random(shape.prod()) < 0.5, 1 << 17, 0).astype(np.uint64)
     middles = random.uniform(-20.0, 8.0 * shape + 20.0, (3000, 3)).astype(np.float32)
     out = wp.zeros(len(middles), dtype=int, device="cpu")
-    inputs = [
-        wp.array(brick_of, dtype=wp.int32, device="cpu"),
-        wp.array(alive, dtype=wp.uint64, device="cpu"),
-    ]
-    inputs += [wp.array(middles, dtype=wp.vec3, device="cpu"), radius]
+    bricks = filled(Bricks, "cpu", brick_of=brick_of, alive=alive)
+    inputs = [bricks, wp.array(middles, dtype=wp.vec3, device="cpu"), radius]
     wp.launch(ask_box, dim=len(middles), inputs=inputs, outputs=[out], device="cpu")
     low = 8.0 * np.argwhere((brick_of >= 0) & (alive[np.maximum(brick_of, 0)] > 0))
     overlaps = (middles[:, None] + radius >= low) & (middles[:, None] - radius < low + 8.0)

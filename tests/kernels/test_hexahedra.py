@@ -16,7 +16,7 @@ from kernels.hexahedra import (
     gather_cells,
 )
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+wp.set_module_options({"max_unroll": 1})
 
 ROUNDING = 1e-13
 """Of the largest value: sums of at most 8 x 24 products in float64."""

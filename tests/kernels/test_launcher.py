@@ -21,7 +21,6 @@ from kernels.launcher import (
     SplitLaunch,
 )
 
-wp.set_module_options({"enable_backward": False})
 COUNT = 1000
 
 
@@ -37,19 +36,13 @@ def squares(
     squares_out[i] = squares_out[i] + i * i
 
 
-def launch_of(gain, monkeypatch) -> tuple[SplitLaunch, np.ndarray]:
-    """A launch on a machine where splitting gains so much, and what it writes."""
-    monkeypatch.setattr(launcher, "_gain", lambda threads: gain)
-    out = wp.zeros(COUNT, dtype=wp.int32, device="cpu")
-    launch = SplitLaunch(
-        squares, dim=COUNT, inputs=[0], outputs=[out], offset_index=0, device="cpu", cores=2
-    )
-    return launch, out.numpy()
-
-
 @pytest.fixture
-def split(monkeypatch) -> tuple[SplitLaunch, np.ndarray]:
-    return launch_of(1.8, monkeypatch)
+def split() -> tuple[SplitLaunch, np.ndarray]:
+    """A launch on a machine where splitting saves time, and the array that it writes."""
+    out = wp.zeros(COUNT, dtype=wp.int32, device="cpu")
+    launch = SplitLaunch(squares, COUNT, [], [out], device="cpu", cores=2)
+    launch._choice = settled(TWO_CORES)
+    return launch, out.numpy()
 
 
 def test_a_part_that_no_thread_begins_is_taken_back(split, monkeypatch):
@@ -129,9 +122,17 @@ def even(gain):
     return {False: cycle([WHOLE_S]), True: cycle([WHOLE_S / gain])}
 
 
+def settled(gain):
+    """A choice after its first trial."""
+    choice = SplitChoice()
+    trial(choice, even(gain))
+    return choice
+
+
 @pytest.mark.parametrize(("gain", "splits"), [(TWO_CORES, True), (ONE_CORE, False), (1.0, False)])
-def test_a_choice_begins_with_the_machine(gain, splits):
-    choice = SplitChoice(gain)
+def test_a_choice_begins_with_a_trial(gain, splits):
+    assert not SplitChoice().splits
+    choice = settled(gain)
     assert choice.gain == pytest.approx(gain)
     assert choice.next_run() == choice.splits == splits
 
@@ -139,7 +140,7 @@ def test_a_choice_begins_with_the_machine(gain, splits):
 @pytest.mark.parametrize(("before", "after"), [(TWO_CORES, ONE_CORE), (ONE_CORE, TWO_CORES)])
 def test_a_choice_follows_the_machine_while_it_runs(before, after):
     """A core that others take, or give back, turns the choice within as many trials as count."""
-    choice = SplitChoice(before)
+    choice = settled(before)
     for _ in range(KEPT):
         run_to_trial(choice, after)
         trial(choice, even(after))
@@ -151,7 +152,7 @@ def test_a_choice_follows_the_machine_while_it_runs(before, after):
 def test_one_interruption_decides_nothing(gain):
     """Neither a split run that lost a time slice, nor a whole one."""
     for interrupted in (False, True):
-        choice = SplitChoice(gain)
+        choice = settled(gain)
         run_to_trial(choice, gain)
         times = even(gain)
         usual = next(times[interrupted])
@@ -162,7 +163,7 @@ def test_one_interruption_decides_nothing(gain):
 
 def test_interruptions_that_come_again_end_the_splitting():
     """The mean counts, not the median: threads that often lose their core make late ticks."""
-    choice = SplitChoice(TWO_CORES)
+    choice = settled(TWO_CORES)
     for _ in range(KEPT):
         run_to_trial(choice, TWO_CORES)
         times = even(TWO_CORES)

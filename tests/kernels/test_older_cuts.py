@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from kernels.bricks import corner8f
+from kernels.bricks import Bricks, corner8f
+from kernels.mirror import filled
 from kernels.older_cuts import SLOTS, bend_below, bone_left
 from kernels.revolution import EDGE_BEND, Revolution
 from meshes.shapes.anatomy import Anatomy
@@ -41,9 +42,8 @@ The interpolation is between voxel centres.
 @wp.kernel
 def ask(
     tool: Revolution,
-    pose: wp.array2d(dtype=wp.float64),
-    brick_of: wp.array3d(dtype=wp.int32),
-    older: wp.array2d(dtype=wp.uint16),
+    pose: wp.array(dtype=wp.vec3d),
+    bricks: Bricks,
     points: wp.array(dtype=wp.vec3),
     normals: wp.array(dtype=wp.vec3),
     bend: float,
@@ -57,8 +57,7 @@ def ask(
         tool,
         pose,
         axis,
-        brick_of,
-        older,
+        bricks,
         rows[i, 0],
         rows[i, 1],
         points[i],
@@ -127,9 +126,8 @@ def test_points_of_a_slot_are_taken_and_points_outside_are_not():
         dim=len(points),
         inputs=[
             model.carver.tool,
-            wp.array(pose, dtype=wp.float64, device="cpu"),
-            store.brick_of,
-            store.older,
+            wp.array(pose[:, :3].copy(), dtype=wp.vec3d, device="cpu"),
+            store.on_device,
             wp.array(points, dtype=wp.vec3, device="cpu"),
             wp.array(out, dtype=wp.vec3, device="cpu"),
             SPACING / RADIUS / 3.0,
@@ -234,9 +232,8 @@ def test_an_older_cut_between_voxel_centres_is_interpolated(axis, deeper, short)
     length = wp.zeros(len(points), dtype=float, device="cpu")
     inputs = [
         model.carver.tool,
-        wp.array(pose, dtype=wp.float64, device="cpu"),
-        store.brick_of,
-        wp.array(older, dtype=wp.uint16, device="cpu"),
+        wp.array(pose[:, :3].copy(), dtype=wp.vec3d, device="cpu"),
+        filled(Bricks, "cpu", brick_of=store.brick_of, older=older),
         wp.array(points, dtype=wp.vec3, device="cpu"),
         wp.array(out, dtype=wp.vec3, device="cpu"),
         SPACING / RADIUS / 3.0,

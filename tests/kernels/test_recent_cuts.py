@@ -76,7 +76,7 @@ def test_last_poses_reach_back_further_than_older_cuts_lag_behind():
             motion.tip_m[0] += tick_m
             recent.add(motion)
         recent.seen_from(motion.tip_m, motion.rotation)
-        back = -np.unique(recent.mirror.host[:, 0].round(9))[::-1]
+        back = -np.unique(recent.mirror.host[:, 0, 0].round(9))[::-1]
         assert back[0] == 0.0 and back[-1] > 5e-4
         apart = np.diff(back)
         assert apart[back[:-1] < 3e-5].max() < 4e-6 + tick_m + 1e-9
@@ -93,5 +93,5 @@ def test_a_tool_that_rolls_about_its_axis_keeps_its_last_poses():
         motion.rotation[:] = Rotation.from_euler("z", 0.02 * tick).as_matrix()
         recent.add(motion)
     recent.seen_from(motion.tip_m, motion.rotation)
-    assert not recent.turns and not recent.mirror.host[:, 3:].any()
-    assert np.linalg.norm(recent.mirror.host[:, :3], axis=1).max() == pytest.approx(2e-4, abs=1e-6)
+    assert not recent.turns and not recent.mirror.host[:, 1].any()
+    assert np.linalg.norm(recent.mirror.host[:, 0], axis=1).max() == pytest.approx(2e-4, abs=1e-6)

@@ -30,12 +30,12 @@ def evaluate(
 
 @wp.kernel
 def subtract(
-    pose: wp.array2d(dtype=wp.float64),
+    pose: wp.array(dtype=wp.vec3d),
     voxel: wp.array(dtype=wp.vec3i),
     offset_out: wp.array(dtype=wp.vec3),
 ):
     i = wp.tid()
-    offset_out[i] = offset_from(pose, 1, voxel[i][0], voxel[i][1], voxel[i][2])
+    offset_out[i] = offset_from(pose[1], voxel[i])
 
 
 def test_distance_and_slope_of_a_ball_by_its_table():
@@ -90,7 +90,7 @@ def test_offsets_are_taken_in_double_precision():
     poses, voxel = random.uniform(900.0, 1000.0, (3, 6)), random.integers(900, 1000, (200, 3))
     out = wp.zeros(200, dtype=wp.vec3, device="cpu")
     inputs = [
-        wp.array(poses, dtype=wp.float64, device="cpu"),
+        wp.array(poses[:, :3].copy(), dtype=wp.vec3d, device="cpu"),
         wp.array(voxel, dtype=wp.vec3i, device="cpu"),
     ]
     wp.launch(subtract, dim=200, inputs=inputs, outputs=[out], device="cpu")

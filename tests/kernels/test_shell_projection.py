@@ -92,11 +92,11 @@ def test_points_lie_on_the_nearest_triangle_along_their_normals(seed):
     inputs = [
         put(points, wp.vec3d),
         put(normals, wp.vec3d),
-        put(pose, wp.float64),
+        put(pose, wp.vec3d),
         reach,
-        0,
         body,
         lists,
+        0,
     ]
     wp.launch(project_shell, dim=COUNT, inputs=inputs, outputs=[shell, home], device="cpu")
     place, direction = tips[0] + points @ turns[0].T, normals @ turns[0].T

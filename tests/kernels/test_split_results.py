@@ -43,7 +43,6 @@ def assert_parts_equal_whole(run, monkeypatch):
         whole = run(1)
     with monkeypatch.context() as patch:
         patch.setattr(launcher, "core_count", lambda: 3)
-        patch.setattr(launcher, "_gain", lambda threads: 1.0)
         patch.setattr(SplitLaunch, "__call__", in_parts)
         parts = run(3)
     assert max(split) == 3

@@ -56,9 +56,9 @@ def test_least_distance_of_each_chunk_also_outside_the_grid():
     turn, tip = Rotation.random(random_state=1).as_matrix(), np.array([6.0, 11.0, 15.0])
     elements = Elements()
     elements.point = wp.array(points, dtype=wp.vec3, device="cpu")
-    motion = wp.array(np.vstack([tip, turn.T]), dtype=wp.float64, device="cpu")
+    motion = wp.array(np.vstack([tip, turn.T]), dtype=wp.vec3d, device="cpu")
     out = wp.zeros(3, dtype=wp.float32, device="cpu")
-    inputs = [elements, motion, SPACING_M, 0, wp.array(field, dtype=wp.float32, device="cpu")]
+    inputs = [elements, motion, SPACING_M, wp.array(field, dtype=wp.float32, device="cpu"), 0]
     wp.launch(clearance, dim=3, inputs=inputs, outputs=[out], device="cpu")
     at = tip + points.astype(float) @ turn.T / SPACING_M
     each = map_coordinates(field.astype(float), at.T - 0.5, order=1, mode="nearest")

@@ -75,6 +75,6 @@ def chart(
     for note in notes:
         console.print(note)
     with progress() as report:
-        found = measure(overwrite=overwrite, report=report)
+        found: Any = measure(overwrite=overwrite, report=report)
     console.print(*lines(found), sep="\n")
     console.print(f"pictures and tables in {folder}")

@@ -198,7 +198,7 @@ def _plain_warnings() -> Iterator[None]:
             # compared by name, since help does not import their modules
             if category.__name__ == "DroppedKeyWarning":
                 return notes.append(str(message))
-            if category.__name__ not in ("PluginWarning", "OldSceneWarning"):
+            if category.__name__ not in ("PluginWarning", "OldSceneWarning", "BreachWarning"):
                 return others(message, category, *where, **more)
             from rich.markup import escape
 

@@ -188,7 +188,7 @@ class _BoneImport:
         self.histogram = histogram_of(image.values)
         if (box := request.box_mm) is not None:
             with names_of_caller({"crop": "crop_mm"}):
-                image = cropped(image, box)
+                image = cropped(image, box, stated_in=request.coordinates)
             if self.labels is not None:
                 self.labels = replace(self.labels, image=cropped(self.labels.image, box))
         self.image = image

@@ -66,12 +66,13 @@ def _inside(profile: Profile, spacing: float) -> Array:
     return grid[profile.distance(half)[0] < -0.5 * pitch]
 
 
-@dataclass(frozen=True, eq=False)
-class OutlineTable:
-    """Half sections of the parts of a tool as arrays, for `kernels.tool_distance.Outline`.
+def outline_table(profile: Profile) -> dict[str, Array | Ints]:
+    """Split a tool with `convex_parts`, and return the members of `kernels.tool_distance.Outline`.
 
-    Attributes
-    ----------
+    A guide peg and its cutter are separate parts.
+
+    Returns
+    -------
     kind
         0 for a line, 1 for an arc, shape (pieces,).
     shape
@@ -83,33 +84,18 @@ class OutlineTable:
     convex
         1 if a part is convex, shape (parts,).
     """
-
-    kind: Int32s
-    shape: Array
-    first: Int32s
-    convex: Int32s
-
-
-def outline_table(profile: Profile) -> OutlineTable:
-    """Split a tool with `convex_parts`, and return the outlines of its parts as arrays.
-
-    A guide peg and its cutter are separate parts.
-    """
     parts = convex_parts(profile)
-    rows = [_row(piece) for part in parts for piece in part]
-    first = np.cumsum([0, *map(len, parts)])
-    convex = [_is_convex(part) for part in parts]
-    kinds = [isinstance(piece, Arc) for part in parts for piece in part]
-    return OutlineTable(
-        np.array(kinds, np.int32),
-        np.array(rows),
-        first.astype(np.int32),
-        np.array(convex, np.int32),
-    )
+    pieces = [piece for part in parts for piece in part]
+    return {
+        "kind": np.array([isinstance(piece, Arc) for piece in pieces], np.int64),
+        "shape": np.array([_row(piece) for piece in pieces]),
+        "first": np.cumsum([0, *map(len, parts)]),
+        "convex": np.array([_is_convex(part) for part in parts], np.int64),
+    }
 
 
 def _row(piece: Piece) -> list[float]:
-    """Return one piece as a row of `OutlineTable.shape`."""
+    """Return one piece as a row of `shape`, see `outline_table`."""
     if isinstance(piece, Arc):
         half = 0.5 * (piece.last - piece.first)
         angles = np.array([piece.first + half, piece.first, piece.last])
@@ -200,14 +186,15 @@ class MedialAxis:
     across: Int32s
 
 
-def medial_axis(profile: Profile) -> MedialAxis:
+def medial_axis(profile: Profile, *, straight_m: float = STRAIGHT_M) -> MedialAxis:
     """Compute the medial axis of a half section.
 
+    The polylines deviate by at most `straight_m` from the true axis [m], see `STRAIGHT_M`.
     The medial axis consists of the centres of the largest inscribed balls, which touch the outline.
     At samples of the outline, a bisection finds the largest ball that touches the outline there
     from inside.
     """
-    chains = [_chain(profile, touch) for touch in _touches(profile.pieces)]
+    chains = [_chain(profile, touch, straight_m) for touch in _touches(profile.pieces)]
     starts = np.concatenate([chain[:-1] for chain in chains])
     ends = np.concatenate([chain[1:] for chain in chains])
     parts = [Profile(part, True) for part in convex_parts(profile)]
@@ -215,9 +202,9 @@ def medial_axis(profile: Profile) -> MedialAxis:
     across = np.zeros(len(starts), np.int32)
     if len(parts) > 1:
         for balls in (starts, middles, ends):
-            # The balls of a polyline deviate by up to STRAIGHT_M.
+            # The balls of a polyline deviate by up to `straight_m`.
             held = np.max([-part.distance(balls[:, :2])[0] for part in parts], axis=0)
-            across |= (held < balls[:, 2] - STRAIGHT_M).astype(np.int32)
+            across |= (held < balls[:, 2] - straight_m).astype(np.int32)
     return MedialAxis(starts, ends, across)
 
 
@@ -255,7 +242,7 @@ def _fan(corner: Array, first: float, turn: float) -> Touch:
     return touch
 
 
-def _chain(profile: Profile, touch: Touch) -> Array:
+def _chain(profile: Profile, touch: Touch, straight_m: float) -> Array:
     """Return the polyline of ball centres and radii along one piece, shape (n, 3)."""
     share = np.linspace(0.0, 1.0, FIRST_SAMPLES)
     balls = _balls(profile, *touch(share))
@@ -266,12 +253,12 @@ def _chain(profile: Profile, touch: Touch) -> Array:
             break
         middle = 0.5 * (share[where] + share[where + 1])
         between = _balls(profile, *touch(middle))
-        bent = _deviation(between, balls[where], balls[where + 1]) > STRAIGHT_M
+        bent = _deviation(between, balls[where], balls[where + 1]) > straight_m
         is_open[where] = bent
         share = np.insert(share, where + 1, middle)
         balls = np.insert(balls, where + 1, between, axis=0)
         is_open = np.insert(is_open, where + 1, bent)
-    return balls[_merged(balls)]
+    return balls[_merged(balls, straight_m)]
 
 
 def _balls(profile: Profile, points: Array, normals: Array) -> Array:
@@ -310,7 +297,7 @@ def _deviation(balls: Array, starts: Array, ends: Array) -> Array:
     return np.linalg.norm(balls - starts - share[:, None] * along, axis=1)
 
 
-def _merged(balls: Array) -> Ints:
+def _merged(balls: Array, straight_m: float) -> Ints:
     """Return the indices of the samples that represent a polyline (Douglas and Peucker 1973)."""
     kept = {0, len(balls) - 1}
     spans = [(0, len(balls) - 1)]
@@ -320,7 +307,7 @@ def _merged(balls: Array) -> Ints:
             continue
         inner = balls[first + 1 : last]
         deviation = _deviation(inner, balls[first : first + 1], balls[last : last + 1])
-        if deviation.max() > STRAIGHT_M:
+        if deviation.max() > straight_m:
             split = first + 1 + int(deviation.argmax())
             kept.add(split)
             spans += [(first, split), (split, last)]

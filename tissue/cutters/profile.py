@@ -5,7 +5,6 @@ with the material to its left. Heights are measured from the tip, the reference 
 pose.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -282,7 +281,12 @@ def twist_drill(
 
 
 def _peg(radius: float, length: float, top: float) -> list[Piece]:
-    """Return a smooth guide peg from ``length`` below the tip up to the height ``top``."""
+    """Return a smooth guide peg from ``length`` below the tip up to the height ``top``.
+
+    A peg with a radius of 0 has no pieces.
+    """
+    if radius == 0.0:
+        return []
     return [
         Line((0, -length), (radius, -length), False),
         Line((radius, -length), (radius, top), False),
@@ -300,9 +304,9 @@ def hemispherical_reamer(
     q = 0.5 * peg_diameter_m
     # With a peg, the cutting face begins where the ball is as wide as the peg.
     first = -0.5 * pi if q == 0.0 else -float(np.arccos(q / r))
-    pieces: Sequence[Piece] = [] if q == 0.0 else _peg(q, peg_length_m, r + r * sin(first))
+    peg = _peg(q, peg_length_m, r + r * sin(first))
     face = Arc((0.0, r), r, first, 0.0)
-    return Profile((*pieces, face, Line((r * cos(0.0), r), (0.0, r), False)), convex=q == 0.0)
+    return Profile((*peg, face, Line((r, r), (0.0, r), False)), convex=q == 0.0)
 
 
 def flat_reamer(
@@ -314,12 +318,10 @@ def flat_reamer(
     """
     r = 0.5 * diameter_m
     q = 0.5 * peg_diameter_m
-    pieces: Sequence[Piece] = [] if q == 0.0 else _peg(q, peg_length_m, 0.0)
+    peg = _peg(q, peg_length_m, 0.0)
     face = Line((q, 0.0), (r, 0.0))
     rim = Line((r, 0.0), (r, length_m))
-    return Profile(
-        (*pieces, face, rim, Line((r, length_m), (0.0, length_m), False)), convex=q == 0.0
-    )
+    return Profile((*peg, face, rim, Line((r, length_m), (0.0, length_m), False)), convex=q == 0.0)
 
 
 def pear_bur(*, diameter_m: float, length_m: float) -> Profile:

@@ -13,11 +13,11 @@ import warp as wp
 
 from kernels.launcher import SplitLaunch
 from kernels.mirror import Mirror, filled, put
-from kernels.structure_depth import CELL_COLUMNS, CELLS, MedialAxis
+from kernels.structure_depth import CELLS, AxisCell, MedialAxis
 from kernels.structure_distance import NODES, TRIANGLES, Tree, distance_to_structure
 from kernels.tool_distance import TOLERANCE_M, Outline
 from meshes.base.arrays import Array, Floats, Ints
-from meshes.surfaces.box_tree import BoxTree, box_tree, cut_long
+from meshes.surfaces.box_tree import box_tree, cut_long
 from tissue.cutters.body import MEDIAL_TOLERANCE_M, medial_axis, outline_table
 from tissue.cutters.profile import Profile
 from tissue.models.state import State, copied, put_back
@@ -35,6 +35,24 @@ OVERLAP_M = 1e-5
 
 The tolerances of the kernel and of the tool's medial axis add up to less than this value.
 `tests/tissue/models/test_clearance.py` checks this limit.
+"""
+MANY_TRIANGLES = 10000
+"""Number of triangles of a structure above which the search in a deep overlap is coarse.
+
+With a reamer of 30 mm that is 7.5 mm deep in 15,000 triangles, a tick of the fine search takes 30
+to 40 ms, and a tick of the coarse search 10 ms.
+"""
+DEEP_OVERLAP_M = 1e-4
+"""Largest error of the distance between tool and triangles in a coarse search [m].
+
+The search is coarse if the structure has more than `MANY_TRIANGLES`, and its surface is more than
+1 mm deep in the tool.
+"""
+FINE_M = MEDIAL_TOLERANCE_M, 3e-6
+COARSE_M = 5e-5, 4.5e-5
+"""Errors of the tool's medial axis and of the coarse search [m].
+
+`FINE_M` has the errors of the fine search.
 """
 
 
@@ -90,8 +108,6 @@ class KeepClear:
     distances
         Dictionary that maps the name of a structure to a function. The function returns the signed
         distance of points from the structure, and is used only for pictures.
-    points_m
-        Points of the tool's body in the tool's frame [m], shape (n, 3), used only for pictures.
     box_m
         Lowest and highest corner of the box that the tool can reach [m], shape (2, 3); None if the
         box is not known.
@@ -102,15 +118,16 @@ class KeepClear:
 
     Attributes
     ----------
-    points_m, distances
-        Values of the parameters with these names.
+    distances
+        Value of the parameter `distances`.
     names
         Names of the trace columns: ``distance_NAME_mm`` for the structure with the name NAME.
     measures
         Distances in the last tick [mm], shape (structures,), negative in an overlap. A value is
         never larger than the true distance. The error is at most the slack of the structure plus
         0.001 mm if tool and structure are apart, and at most the slack plus 0.01 mm if they
-        overlap. The error is larger if tens of thousands of triangles have the same distance.
+        overlap (0.1 mm in a coarse search, see `DEEP_OVERLAP_M`). The error is larger if tens of
+        thousands of triangles have the same distance.
     notices
         Events, one sentence each. The simulation loop logs an event and then removes it.
     """
@@ -121,14 +138,12 @@ class KeepClear:
         structures: Mapping[str, Structure],
         distances: Mapping[str, Distance] | None = None,
         *,
-        points_m: Array | None = None,
         box_m: Array | None = None,
         times_s: Array | None = None,
         margin_m: float = 0.0,
     ) -> None:
         self._times_s = times_s
         self._margin_m = margin_m
-        self.points_m = np.zeros((1, 3)) if points_m is None else points_m
         self.distances = dict(distances or {})
         self.names = tuple(f"distance_{name}_mm" for name in structures)
         self.measures = np.zeros(len(structures))
@@ -136,9 +151,15 @@ class KeepClear:
         self._breaches = [_Breach(name) for name in structures]
         self._tick = 0
         self._follows = True
-        outline = filled(Outline, DEVICE, **vars(outline_table(profile)))
-        medial = _medial(profile)
-        self._structures = [_Search(outline, medial, each, box_m) for each in structures.values()]
+        outline = filled(Outline, DEVICE, **outline_table(profile))
+        fine = _medial(profile, *FINE_M)
+        coarse = fine
+        if any(len(each.faces) > MANY_TRIANGLES for each in structures.values()):
+            coarse = _medial(profile, *COARSE_M)
+        self._structures = list[_Search]()
+        for each in structures.values():
+            deep = coarse if len(each.faces) > MANY_TRIANGLES else fine
+            self._structures.append(_Search(outline, [fine, deep], each, box_m))
 
     def measure(self, tool: ToolMotion, *, placed: bool = False) -> None:
         """Measure the distances from all structures at a pose of the tool.
@@ -152,6 +173,14 @@ class KeepClear:
             if self._follows and not placed:
                 self._follow(self._breaches[number], distance_m)
         self._tick += 0 if placed else 1
+
+    def overlaps(self) -> list[str]:
+        """Return a text with the depth in the last tick for each structure that the tool is in."""
+        return [
+            f"{-distance_mm:.2f} mm inside {breach.name}"
+            for breach, distance_mm in zip(self._breaches, self.measures, strict=True)
+            if distance_mm < 0.0
+        ]
 
     def state(self) -> State:
         """Return a copy of the state on which later ticks depend."""
@@ -237,7 +266,7 @@ class _Search:
     """Search for the distance between a tool and one structure, with its device arrays."""
 
     def __init__(
-        self, outline: Any, medial: Any, structure: Structure, box_m: Array | None
+        self, outline: Any, axes: list[Any], structure: Structure, box_m: Array | None
     ) -> None:
         # Coordinates are taken along the structure's principal axes, because boxes around its
         # triangles are small there. Their origin is in the middle of the structure, because the
@@ -248,10 +277,18 @@ class _Search:
         # Eigenvectors may form a reflection, which would turn the triangles inside out.
         self._turn[:, 0] *= np.sign(np.linalg.det(self._turn))
         corners = cut_long(vertices[structure.faces], box_m)
-        tree = box_tree((corners - self._origin) @ self._turn)
+        boxes = box_tree((corners - self._origin) @ self._turn)
+        tree = filled(
+            Tree,
+            DEVICE,
+            centre=boxes.centres_m,
+            half=boxes.halves_m,
+            corners=boxes.corners_m,
+            first_leaf=boxes.first_leaf,
+        )
         vertices = (vertices - self._origin) @ self._turn
         self._slack_m = structure.slack_m
-        self._motion = Mirror((4, 3), wp.float64, DEVICE)
+        self._motion = Mirror(4, wp.vec3d, DEVICE)
         self._distance = Mirror(1, wp.float64, DEVICE)
         self._mesh = wp.Mesh(
             points=put(vertices, wp.vec3, DEVICE),
@@ -262,22 +299,20 @@ class _Search:
             distance_to_structure,
             1,
             [
-                0,
                 outline,
-                _tree(tree),
+                tree,
                 self._mesh.id,
                 self._motion.device,
-                medial,
-                np.array([tree.first_leaf]),
+                *axes,
+                np.array([boxes.first_leaf]),
                 wp.zeros(NODES, wp.int32, DEVICE),
                 wp.zeros(NODES, wp.float64, DEVICE),
                 wp.zeros((TRIANGLES, 3), wp.vec3d, DEVICE),
                 wp.zeros(TRIANGLES, wp.float64, DEVICE),
                 wp.zeros(1, wp.int32, DEVICE),
-                wp.zeros((CELLS, CELL_COLUMNS), wp.float64, DEVICE),
+                wp.zeros(CELLS, AxisCell, DEVICE),
             ],
             [self._distance.device],
-            offset_index=0,
             device=DEVICE,
             # The search runs in one thread, so dim is 1.
             cores=1,
@@ -292,26 +327,16 @@ class _Search:
         return float(self._distance.host[0]) - self._slack_m
 
 
-def _medial(profile: Profile) -> Any:
-    """Return the tool's medial axis in the format of the kernel."""
-    axis = medial_axis(profile)
+def _medial(profile: Profile, slack_m: float, tolerance_m: float) -> Any:
+    """Return the tool's medial axis and the accuracy of the search in the format of the kernel."""
+    # See `STRAIGHT_M` for the ratio of the two errors.
+    axis = medial_axis(profile, straight_m=0.25 * slack_m)
     return filled(
         MedialAxis,
         DEVICE,
         starts=axis.starts_m,
         ends=axis.ends_m,
         across=axis.across,
-        slack=MEDIAL_TOLERANCE_M,
-    )
-
-
-def _tree(made: BoxTree) -> Any:
-    """Return a tree of bounding boxes in the format of the kernel."""
-    return filled(
-        Tree,
-        DEVICE,
-        centre=made.centres_m,
-        half=made.halves_m,
-        corners=made.corners_m,
-        first_leaf=made.first_leaf,
+        slack=slack_m,
+        tolerance=tolerance_m,
     )

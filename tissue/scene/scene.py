@@ -115,8 +115,9 @@ class Voxels(Part):
     `binary` removes a whole voxel once its centre is inside the tool.
     """
     margin_mm: float = Field(3.0, ge=0.5, le=50)
-    """Distance from the tool, along the motion of the scene, within which bone is simulated. If a
-    hand moves the tool out of this region, an event reports it.
+    """Distance from the tool, including its peg, along the motion of the scene, within which bone
+    is simulated. Without a device, a peg that stays in its guide hole does not count, because it
+    touches no bone. If a hand moves the tool out of this region, an event reports it.
     """
 
 

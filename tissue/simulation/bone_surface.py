@@ -319,10 +319,9 @@ def coarse_volume(volume: VoxelVolume, block: int) -> VoxelVolume:
     fraction = block_means(volume.fraction, block)
     # The last block may be incomplete and have no middle voxel. Its layer and density are then 0.
     short = np.subtract(fraction.shape, volume.layer[middle].shape)
-    layer, density = (
-        np.pad(values[middle], [(0, count) for count in short])
-        for values in (volume.layer, volume.density_kg_m3)
-    )
+    missing = [(0, count) for count in short.tolist()]
+    layer = np.pad(volume.layer[middle], missing)
+    density = np.pad(volume.density_kg_m3[middle], missing)
     return VoxelVolume(
         volume.origin_m, block * volume.spacing_m, fraction, layer, density, volume.layer_names
     )

@@ -1,6 +1,7 @@
 """Simulation of a scene: build its motion and tissue, and run the loop of ticks."""
 
 import gc
+import warnings
 from collections.abc import Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from math import ceil, inf
@@ -51,6 +52,10 @@ class RunSettings(TypedDict, total=False):
     overwrite: bool
     progress: Progress | None
     allow_unstable: bool
+
+
+class BreachWarning(UserWarning):
+    """Warning that a tool starts inside a structure that it must not touch."""
 
 
 class RunObserver:
@@ -163,6 +168,14 @@ def simulate(
             folder.begin(scene, parts.placement)
             folder.open_tables(loop.trace, loop.timing)
         loop.place()
+        if parts.keep_clear is not None and (inside := parts.keep_clear.overlaps()):
+            # Level 4 is the caller of `tissue.simulate`.
+            warnings.warn(
+                f"the tool starts {' and '.join(inside)}. Check the path and the position of the "
+                "structure. Ticks in a breach are slow",
+                BreachWarning,
+                stacklevel=4,
+            )
         scheduling = _run_ticks(
             loop, ticks, cores=cores, folder=folder, report=report, observers=observers
         )

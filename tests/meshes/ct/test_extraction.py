@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from ct_ball import CENTRE_MM, DENSE_HU, RADIUS_MM, SHELL_MM, SPARSE_HU, ball, ball_mask
 
+from meshes.base.errors import InputError
 from meshes.ct.extraction import by_label, by_threshold, cropped
 from meshes.ct.inspection import Histogram, histogram_of, inspect, suggest_threshold
 
@@ -100,6 +101,15 @@ def test_marrow_is_part_of_the_bone_even_where_the_image_cuts_it():
     bone = by_threshold(half, 475.0)
     assert bone.volume_mm3 == pytest.approx(0.5 * VOLUME_MM3, rel=0.05)
     assert len(bone.cuts) == 1 and "cut off" in " ".join(bone.notes)
+
+
+def test_a_box_in_the_other_coordinate_system_is_recognised():
+    image = replace(ball(), origin_mm=(100.0, 50.0, -20.0))
+    for system, other in (("LPS", "RAS"), ("RAS", "LPS")):
+        with pytest.raises(InputError, match=f"Give --coordinates {other} if the corners are in"):
+            cropped(image, ((-110.0, -60.0, -15.0), (-104.0, -54.0, -5.0)), stated_in=system)
+    with pytest.raises(InputError, match="Choose corners inside the image"):
+        cropped(image, ((-110.0, 54.0, -15.0), (-104.0, 60.0, -5.0)))
 
 
 def test_what_an_image_holds_is_found():

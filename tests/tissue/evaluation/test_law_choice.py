@@ -24,10 +24,10 @@ PRESS = {
     "organ.interval_ms": 0.0,
     "organ.order": 1,
     "tool.diameter_mm": 16.0,
-    "motion.points_mm": [[0, 0, 0.2], [0, 0, -4.3]],
+    "motion.points_mm": [[0, 0, 0.2], [0, 0, -4.6]],
     "motion.feed_mm_s": 20.0,
 }
-"""0.53 of the ball's radius deep: 10 % by the chart."""
+"""0.57 of the ball's radius deep: 11 % by the chart."""
 
 
 @pytest.fixture(scope="module")
@@ -38,14 +38,14 @@ def scene(tmp_path_factory):
 
 
 def test_the_error_of_the_linear_law_grows_with_the_depth():
-    assert [linear_error(depth) for depth in (0.0, 0.165, 0.33, 0.53, 0.73)] == pytest.approx(
+    assert [linear_error(depth) for depth in (0.0, 0.165, 0.33, 0.52, 0.71)] == pytest.approx(
         [0.0, 0.025, 0.05, 0.1, 0.15]
     )
 
 
 @pytest.mark.slow
 def test_the_neo_hookean_table_is_that_of_a_layer_of_five_radii():
-    """Within 0.01 of the axisymmetric solution: 4.6 and 10.9 % in place of 5 and 10 %."""
+    """Within 0.01 of the axisymmetric solution."""
     first, shear = lame(np.array([1e3]), 0.45)[0]
     law = Hyperelastic.neo_hookean(shear, bulk_Pa=first + 2.0 / 3.0 * shear)
     depths, errors = np.array(LINEAR_ERROR).T
@@ -72,22 +72,22 @@ def test_the_exponential_table_is_that_of_a_thick_layer():
 
 @pytest.mark.slow
 def test_a_pressed_liver_is_linear_where_the_demand_allows_it(scene):
-    """The error of the linear law 0.53 radii deep is 30 % against the exponential law."""
+    """The error of the linear law 0.57 radii deep is 32 % against the exponential law."""
     liver = changed(scene, {"organ.material": "pressed_liver", "organ.young_kPa": None})
     taken, why = with_law(liver, Fidelity(force_error=0.1))
     assert taken.organ.law == CITED_LAW
-    assert f"organ.law = {CITED_LAW}: the force error of the linear law is 30 % at a depth" in why
+    assert f"organ.law = {CITED_LAW}: the force error of the linear law is 32 % at a depth" in why
     kept, why = with_law(taken, Fidelity(force_error=0.1))
     assert kept.organ.law == CITED_LAW
     linear, why = with_law(taken, Fidelity(force_error=0.5))
     assert linear.organ.law == "linear"
-    assert "organ.law = linear: its force error against the exponential law is 30 % at" in why
+    assert "organ.law = linear: its force error against the exponential law is 32 % at" in why
 
 
 def test_a_law_is_taken_where_the_linear_one_is_too_far_off(scene):
     same, why = with_law(scene, Fidelity(force_error=0.12))
-    assert same.organ.law == "linear" and "against the neo-hookean law is 10 %" in why
+    assert same.organ.law == "linear" and "against the neo-hookean law is 11 %" in why
     other, why = with_law(scene, Fidelity(force_error=0.05))
     assert other.organ.law == "neo-hookean"
-    assert "the force error of the linear law is 10 % at a depth of 0.53 ball radii" in why
+    assert "the force error of the linear law is 11 % at a depth of 0.57 ball radii" in why
     assert with_law(scene, Fidelity(tick_ms=0.5)) == (scene, "")

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from meshes.shapes.sdf import capsule, shape_triangles
 from tissue.cutters import profile
-from tissue.models.keep_clear import APART_M, KeepClear, Structure
+from tissue.models.keep_clear import APART_M, DEEP_OVERLAP_M, OVERLAP_M, KeepClear, Structure
 from tissue.models.tissue_model import ToolMotion
 
 SECTIONS = 128
@@ -125,6 +125,21 @@ def test_drill_in_a_tube(sections, rings, scale):
             exact_mm = 2.6 * abs(scale) - 1e3 * aside - 1.0
             found = frame([aside, 0.0, height])
             assert exact_mm - 1e3 * APART_M - ABOVE_MM <= found <= exact_mm + ABOVE_MM
+
+
+def test_the_depth_in_many_triangles_is_coarse_and_safe():
+    """A ball of 3 mm in a sphere of 20,480 triangles."""
+    sphere = trimesh.creation.icosphere(subdivisions=5, radius=5.0)
+    sphere.apply_scale(1e-3)
+    inner_mm = 1e3 * np.linalg.norm(sphere.triangles_center, axis=1).min()
+    outer_mm = 1e3 * np.linalg.norm(sphere.vertices, axis=1).max()
+    frame = Frame(5, sphere, BALL)
+    for away_mm in (0.5, 3.0, 4.5, outer_mm + 1.2):
+        found = frame([0.0, 0.0, 1e-3 * away_mm - 1.5e-3])
+        # the sphere of the triangles lies between the two radii
+        depth_mm = outer_mm - away_mm + 1.5
+        error_mm = outer_mm - inner_mm + 1e3 * (DEEP_OVERLAP_M if depth_mm > 1.0 else OVERLAP_M)
+        assert -depth_mm - error_mm <= found <= -(inner_mm - away_mm + 1.5) + ABOVE_MM
 
 
 def test_drill_in_a_tight_tube():

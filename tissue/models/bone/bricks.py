@@ -8,8 +8,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from kernels.bone_lookup import BEYOND, SURFACE_STEPS
-from kernels.bricks import BRICK, BRICK_VOXELS, FULL, LOST, REACHED
-from kernels.mirror import put
+from kernels.bricks import BRICK, BRICK_VOXELS, FULL, LOST, REACHED, Bricks
+from kernels.mirror import filled, put
 from meshes.base.arrays import Array, Bytes, Flags, Ints
 from meshes.base.errors import InputError
 from meshes.voxels.distances import OUTSIDE, near_the_surface
@@ -255,9 +255,10 @@ class BrickStore:
         return grows
 
     @property
-    def read_by_forces(self) -> list[Any]:
-        """Device arrays that the force kernels read, in the order of the kernel arguments."""
-        return [self.brick_of, self.material, self.nearby, self.older, self.alive]
+    def on_device(self) -> Any:
+        """Present device arrays of the store, for kernels."""
+        arrays = {name: getattr(self, name) for name in Bricks.__annotations__}
+        return filled(Bricks, self._device, **arrays)
 
     def take_touched(self) -> tuple[Ints, NDArray[np.uint16]]:
         """Return row numbers and fractions of the bricks that lost material since the last call.

@@ -155,7 +155,8 @@ class Carver:
         self._behind = 0  # groups not visited at the present pose
         self._now = np.zeros(6)
         workers = WORKERS_CPU if device == "cpu" else WORKERS_GPU
-        self._pose = Mirror((1 + 2 * PHASES, 6), wp.float64, device)
+        self._pose = Mirror((1 + 2 * PHASES, 2), wp.vec3d, device)
+        self._poses: Array = self._pose.host.reshape(-1, 6)
         self._plan = Mirror(PLAN, wp.int64, device)
         self._removed = Mirror((workers, layers), wp.int64, device)
         self._workers = workers
@@ -164,35 +165,18 @@ class Carver:
 
     def record(self) -> None:
         """Record the carving kernel for the present device arrays of the store."""
-        store = self.store
         self._carve = SplitLaunch(
             carve,
             self._workers,
-            [
-                self.tool,
-                self._pose.device,
-                self._plan.device,
-                0,
-                self._workers,
-                store.brick_of,
-                store.material,
-            ],
-            [
-                store.remaining,
-                store.swept,
-                store.middle,
-                store.older,
-                store.alive,
-                store.touched,
-                self._removed.device,
-            ],
-            offset_index=3,
+            [self.tool, self._pose.device, self._plan.device, self._workers],
+            [self.store.on_device, self._removed.device],
+            device=str(self._pose.device.device),
             cores=self._cores,
         )
 
     def place(self, motion: ToolMotion) -> None:
         """Carve all bone inside the tool at its first pose."""
-        self._pose.host[:] = self._pose_of(motion)
+        self._poses[:] = self._pose_of(motion)
         self._motions[:] = 0.0
         self._marks[:] = self._travelled
         self._turned[:] = False
@@ -204,12 +188,12 @@ class Carver:
         If the tool is slow, the carving is spread over several ticks.
         """
         now = self._pose_of(motion)
-        step = self._distance(now, self._pose.host[0])
+        step = self._distance(now, self._poses[0])
         self._travelled += step
         if step > LONGEST_STEP_VOXELS:
             self._sweep(now, parts=ceil(step / LONGEST_STEP_VOXELS))
         elif step > 0.0:
-            self._pose.host[0] = now
+            self._poses[0] = now
             self._behind = PHASES
             self._debt = min(self._debt + PHASES * step / self._lag, PHASES)
             most = max(STEADY_GROUPS, ceil(PHASES * step / FAST_LAG_VOXELS))
@@ -243,12 +227,12 @@ class Carver:
 
     def _sweep(self, now: Array, *, parts: int) -> None:
         """Carve the motion of a fast tool at several poses on its path."""
-        before = self._pose.host[0].copy()
+        before = self._poses[0].copy()
         for part in range(1, parts + 1):
             pose = before + part / parts * (now - before)
             # An axis interpolated between two unit axes is shorter than 1.
             pose[3:] /= np.linalg.norm(pose[3:])
-            self._pose.host[0] = pose
+            self._poses[0] = pose
             self._visit(PHASES)
 
     def finish(self) -> None:
@@ -258,21 +242,21 @@ class Carver:
 
     def state(self) -> State:
         """Return a copy of the cutter's state for `restore`."""
-        poses = self._pose.host.copy()
+        poses = self._poses.copy()
         return {"bricks": self.store.state(self), "poses": poses, "own": copied(self, STATE)}
 
     def restore(self, state: State) -> None:
         """Restore a state that `state` has returned; `removed_steps` keeps its present value."""
         self.store.restore(state["bricks"], self)
         self.changes += 1
-        self._pose.host[:] = state["poses"]
+        self._poses[:] = state["poses"]
         put_back(self, state["own"])
 
     def _visit(self, groups: int, *, every_side: bool = False) -> None:
         """Carve the next groups of bricks at the present pose, and add up the removed material."""
         self.changes += 1
         first = self._next_group
-        poses = self._pose.host
+        poses = self._poses
         visited = [(first + visit) % PHASES for visit in range(groups)]
         older = poses[1 + PHASES :]
         moved = [g for g in visited if self._travelled - self._marks[g] >= self._older_lag]

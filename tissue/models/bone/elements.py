@@ -17,13 +17,6 @@ from meshes.base.arrays import Array
 from tissue.cutters.cutter import Cutter, PointShell
 from tissue.models.bone.bricks import BrickStore
 
-LEVER = [0, 1, 3, 4, 5, 6, 7, 8, 9, 10, 11, 14, 15, 16]
-"""Indices of the load components that are nonzero on at least one cutting element.
-
-A cutting element has a tangential, a radial and an axial load, each with three components of force
-and of torque.
-"""
-
 
 def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: str) -> Elements:
     """Return the cutting elements (points on the cutter's surface) as device arrays."""
@@ -39,7 +32,7 @@ def elements_of(shell: PointShell, cutter: Cutter, *, spacing_m: float, device: 
         point=shell.points_m,
         lanes=_in_lanes(np.hstack([shell.points_m, shell.normals])),
         normal=shell.normals,
-        lever=_in_lanes(levers_of(shell, cutter)[:, LEVER]),
+        lever=_in_lanes(levers_of(shell, cutter)),
         area=shell.areas_m2,
         areas=_in_lanes(shell.areas_m2[:, None])[:, 0],
         bend=bend,
@@ -170,7 +163,10 @@ class CuttingForces:
         shape = (self._chunks, self.slopes + 36)
         self._sums = Mirror(shape, wp.float64, device)
         lanes = wp.zeros(shape, lanes8, device)
-        self.found = wp.zeros((len(elements.lanes), FOUND), lanes8, device)
+        groups = len(elements.lanes)
+        self.found = wp.zeros((groups, FOUND, LANES), wp.float32, device)
+        # the same memory, as rows of eight elements
+        rows: Any = wp.array(ptr=self.found.ptr, dtype=lanes8, shape=(groups, FOUND), device=device)
         self._engaged = Mirror(self._chunks, wp.float64, device)
         # The value 1 makes the first search write the widths of all elements.
         self._engaged.device.fill_(1)
@@ -186,14 +182,13 @@ class CuttingForces:
         ]
         self._scratch = wp.zeros((self._chunks, SLOTS + 1), corner8f, device)
         self._cores = cores
-        given = [elements, coefficients, self.found, self._engaged.device]
+        given = [elements, coefficients, rows, self._engaged.device]
         self._sum = SplitLaunch(
             cutting_forces,
             self._chunks,
-            [*given, motion.device, chip_per_speed_s, 0],
+            [*given, motion.device, chip_per_speed_s],
             [lanes, self._sums.device],
             cores=cores,
-            offset_index=len(given) + 2,
         )
         self.record()
 
@@ -202,9 +197,8 @@ class CuttingForces:
         self.find_bone = SplitLaunch(
             find_bone,
             self._chunks,
-            [*self._given, 0, *self._store.read_by_forces],
+            [*self._given, self._store.on_device],
             [self._scratch, self.found, self._engaged.device],
-            offset_index=len(self._given),
             cores=self._cores,
         )
 

@@ -171,7 +171,8 @@ class EngagedElements:
 
     def __init__(self, bone: BoneModel) -> None:
         self.bone = bone
-        self._edges = edge_lengths_m(bone.shell, bone.cutter)
+        self.edges_m = edge_lengths_m(bone.shell, bone.cutter)
+        """Length of cutting edge in each element [m], shape (n,)."""
 
     def find(self, motion: ToolMotion) -> tuple[Array, ...]:
         """Return the engaged share, advance per unit speed, layer and density of each element.
@@ -219,7 +220,7 @@ class EngagedElements:
         powers = (
             shell.radii_m[met]
             * cutter.load_factors(shell.radii_m[met])[:, 0]
-            * self._edges[met]
+            * self.edges_m[met]
             * share[met]
             * strength
             * (chip * effective + edge * of_edge)
@@ -272,11 +273,7 @@ class EngagedBone(MilledTissue):
         self._response = Response.empty(len(self.layer_names))
         self.engaged_m2 = self._response.engaged_m2
         """Area of the tool in contact with each layer in the last `respond` [m2], (layers,)."""
-        shell = bone.shell
-        cutter = bone.cutter
-        self._areas = shell.areas_m2
-        self._edges = edge_lengths_m(shell, cutter)
-        self._levers = levers_of(shell, cutter)
+        self._levers = levers_of(bone.shell, bone.cutter)
         self._elements = EngagedElements(bone)
 
     def respond(self, motion: ToolMotion) -> Response:
@@ -289,8 +286,8 @@ class EngagedBone(MilledTissue):
             return response
         share, advance, layer, density = self._elements.find(motion)
         met = np.flatnonzero(share)
-        engaged = self._areas[met] * share[met]
-        lengths = self._edges[met] * share[met]
+        engaged = self.milling.shell.areas_m2[met] * share[met]
+        lengths = self._elements.edges_m[met] * share[met]
         speeds = advance[met].astype(np.float64)
         layers = layer[met]
         response.engaged_m2[:] = np.bincount(layers, engaged, minlength=len(self.layer_names))

@@ -93,13 +93,13 @@ class BoneModel:
         self._response = Response(
             self._parts[:2].reshape(6), self._parts[2:].reshape(6), np.zeros(6), np.zeros(layers)
         )
-        self._pose = Mirror((POSE_ROWS, 3), wp.float64, device)
+        self._pose = Mirror(POSE_ROWS, wp.vec3d, device)
         self.motion_rows = self._pose.device
         """Device array of the pose and motion of the last `take`, see `find_bone`."""
         self._tip = self._pose.host[0]
         self._axes = self._pose.host[1:4]
         self._velocities = self._pose.host[4:6]
-        self._motion = Mirror((MOTION_ROWS, 3), wp.float64, device)
+        self._motion = Mirror(MOTION_ROWS, wp.vec3d, device)
         lever_m = float(np.abs(cutter.profile.height_range_m).max())
         self._recent = RecentPoses(lever_m, device=device)
         self.elements = elements_of(self.shell, cutter, spacing_m=spacing, device=device)

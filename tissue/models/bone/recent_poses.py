@@ -59,7 +59,7 @@ class RecentPoses:
         self._rings = [[first, first, last] for first, last in pairwise(ends)]
         self.turns = False
         self._moved = np.zeros((KEPT_POSES, 3))
-        self.mirror = Mirror((1 + KEPT_POSES, 6), wp.float32, device)
+        self.mirror = Mirror((1 + KEPT_POSES, 2), wp.vec3, device)
 
     def place(self, motion: ToolMotion) -> None:
         """Set all stored poses to a first pose."""
@@ -97,7 +97,7 @@ class RecentPoses:
 
     def seen_from(self, tip_m: Array, rotation: Array) -> None:
         """Write the stored poses relative to a given pose to `mirror`, present pose first."""
-        rows = self.mirror.host
+        rows = self.mirror.host.reshape(-1, 6)
         np.dot(self._poses[:, :3] - tip_m, rotation, out=self._moved)
         rows[1:, :3] = self._moved
         if self.turns:

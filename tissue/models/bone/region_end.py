@@ -59,8 +59,7 @@ class RegionEnd:
         self._margin_mm = margin_mm
         self._tissue = tissue
         self._reporters = reporters
-        # `reach` uses the same distance for the region.
-        points_m = cutter.shell(spacing_m=cutter.profile.radius_m / 8.0).points_m
+        points_m = np.concatenate([cutter.coarse_shell_m(cutting=each) for each in (True, False)])
         self._points_m = points_m[:: -(-len(points_m) // MOST_POINTS)]
         along_m = self._points_m[:, 2]
         self._ends_m = along_m.min(), along_m.max()
@@ -114,7 +113,7 @@ class RegionEnd:
         )
 
     def _has_left(self, tip_m: Array, rotation: Array) -> bool:
-        """Return True if a part of the cutting surface lies in tissue outside the region."""
+        """Return True if a part of the tool's surface lies in tissue outside the region."""
         # A cylinder around the tool is in the region at nearly every tick. This test takes
         # about 20 us, and the test of all points 0.1 to 2 ms.
         low, high = self._box(tip_m, rotation[:, 2])

@@ -318,9 +318,7 @@ class Conduction:
             total += each
             np.moveaxis(total, axis, 0)[1:] += np.moveaxis(each, axis, 0)[:-1]
         held = self.grid.filled > 0.0
-        return float((self._capacity_J_K[held] / np.maximum(total[held], 1e-30)).min()) / float(
-            OPEN
-        )
+        return float((self._capacity_J_K[held] / np.maximum(total[held], 1e-30)).min()) / OPEN
 
     @property
     def rise_K(self) -> Singles:

@@ -308,7 +308,7 @@ class SurfaceContact:
         corners = nodes_m[faces]
         self._centres = corners.mean(axis=1)
         self._radii = np.linalg.norm(corners - self._centres[:, None], axis=2).max(axis=1)
-        self._pose = Mirror((8, 3), wp.float64, device)
+        self._pose = Mirror(8, wp.vec3d, device)
         self._results = Mirror(RESULTS, wp.float64, device)
         self._placed = self._shifted = False
         self._body = body_arrays(nodes_m, faces, compliance_m_N, device)
@@ -349,9 +349,8 @@ class SurfaceContact:
             project = SplitLaunch(
                 project_shell,
                 count,
-                [*shell, pose, float(self._radii.max()), 0, body, lists],
+                [*shell, pose, float(self._radii.max()), body, lists],
                 [points, home],
-                offset_index=4,
                 device=device,
                 cores=self._cores,
             )

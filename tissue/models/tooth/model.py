@@ -111,15 +111,8 @@ class ToothModel(MilledTissue):
         self._clearance = SplitLaunch(
             clearance,
             chunks,
-            [
-                milling.elements,
-                milling.motion_rows,
-                volume.spacing_m,
-                0,
-                distance,
-            ],
+            [milling.elements, milling.motion_rows, volume.spacing_m, distance],
             [self._nearest.device],
-            offset_index=3,
             device=device,
         )
 

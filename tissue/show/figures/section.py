@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from meshes.base.arrays import Array, Bytes, Floats
+from meshes.base.arrays import Array, Bytes
 from meshes.voxels.volume import FULL
 from tissue.fem.fields import FieldSeries, Frame
 from tissue.show.figures.figure import (
@@ -24,6 +23,7 @@ from tissue.show.figures.figure import (
     save,
     styled,
 )
+from tissue.show.figures.nearest_points import Closest, closest, distances_to_structures
 from tissue.show.figures.tool_mesh import row_at
 from tissue.simulation.bone_surface import HALF, facing, tool_axes
 from tissue.simulation.run import Run
@@ -39,6 +39,8 @@ REMOVED_TINT = 0.28
 PATH = "#CC79A7"
 """Colour of the path of the tip."""
 TOOL: dict[str, Any] = {"color": "0.1", "linewidth": 1.0, "linestyle": (0, (3, 1.5))}
+NEAREST: dict[str, Any] = {"color": "black", "marker": "o", "markersize": 3.0}
+"""Look of the line between the nearest points of tool and structure."""
 LAYERS_APART_MM = 1e4
 """Artificial distance [mm] between layers, so that the nearest cell is in the same layer."""
 DECADES = 3.0
@@ -89,54 +91,6 @@ class Section:
 
 def _points_mm(axes: Array, origin_mm: Array, u_mm: Array, v_mm: Array) -> Array:
     return origin_mm + u_mm[:, None, None] * axes[0] + v_mm[:, None] * axes[1]
-
-
-@dataclass(frozen=True)
-class Closest:
-    """Smallest distance between the tool and a structure to keep clear of.
-
-    Attributes
-    ----------
-    name
-        Name of the structure.
-    row
-        Row of the trace with the smallest distance.
-    points_mm
-        Nearest points of the tool and of the structure [mm], shape (2, 3).
-    """
-
-    name: str
-    row: int
-    points_mm: Array
-
-
-def closest(run: Run) -> Closest | None:
-    """Return the smallest of the `distances_to_structures`.
-
-    The result is None for a run without structures.
-    """
-    clear = run.parts.keep_clear
-    distances_mm = distances_to_structures(run)
-    if clear is None or not distances_mm:
-        return None
-    name = min(distances_mm, key=lambda each: distances_mm[each])
-    # the trace may have smaller distances after the tool left the simulated region
-    apart = np.abs(run.trace[f"distance_{name}_mm"] - distances_mm[name])
-    row = int(apart.argmin())
-    turn = Rotation.from_quat(run.trace.quaternions()[row])
-    body_mm = turn.apply(1e3 * clear.points_m) + run.trace.vectors("tool", "mm")[row]
-
-    def distance_mm(points_mm: Array) -> Floats:
-        return 1e3 * np.asarray(clear.distances[name](1e-3 * points_mm))
-
-    apart_mm = distance_mm(body_mm)
-    nearest = int(apart_mm.argmin())
-    of_tool = body_mm[nearest]
-    # 0.01 mm: a step far above the rounding of the distance and far below the size of a structure
-    steps = 0.01 * np.eye(3)
-    slope = distance_mm(of_tool + steps) - distance_mm(of_tool - steps)
-    away = slope / max(float(np.linalg.norm(slope)), 1e-12)
-    return Closest(name, row, np.stack([of_tool, of_tool - apart_mm[nearest] * away]))
 
 
 def plane_of(run: Run, row: int) -> tuple[tuple[int, int, int], float]:
@@ -276,7 +230,7 @@ def draw_section(run: Run, path: Path) -> None:
         row = near.row
         frame = None if series is None else nearest_frame(series, run.trace["time_s"][row])
         section = section_of(run, row, near.points_mm[1])
-    window = shown_mm(run, section)
+    window = shown_mm(run, section, near)
     u0, u1, v0, v1 = window
     shape = (v1 - v0) / (u1 - u0)
     # inches: two panels and a colour bar, or one panel of at most 5.2 in both directions
@@ -292,11 +246,9 @@ def draw_section(run: Run, path: Path) -> None:
         sharey=True,
     )
     _draw_layers(panels[0], run, section)
-    structures = draw_kept_clear(panels[0], run, window, section)
+    structures = draw_kept_clear(panels[0], run, window, section, near)
     if near is not None:
-        panels[0].plot(
-            *section.project(near.points_mm).T, color="black", marker="o", markersize=3.0
-        )
+        panels[0].plot(*section.project(near.points_mm).T, **NEAREST)
     panels[0].set_ylabel(f"{y} / mm")
     panels[0].set_title("layers, and tissue removed up to this time")
     handles = _handles(run, section)
@@ -430,6 +382,8 @@ def _handles(run: Run, section: Section) -> "list[Artist]":
     seen = np.unique(section.layer[section.start >= HALF / FULL])
     removed = np.unique(section.layer[_removed(section) >= HALF / FULL])
     colours = layer_colours(names)
+    tips_mm = run.trace.vectors("tool", "mm")[: section.row + 1]
+    path = Line2D([], [], color=PATH, linewidth=1.0, label="path of its tip (projected)")
     return [
         *(Patch(facecolor=colours[names[i]], label=names[i], **EDGE) for i in seen),
         *(
@@ -442,38 +396,29 @@ def _handles(run: Run, section: Section) -> "list[Artist]":
             for i in removed
         ),
         Line2D([], [], label="tool", **TOOL),
-        Line2D([], [], color=PATH, linewidth=1.0, label="path of its tip (projected)"),
+        *([path] if np.ptp(tips_mm, axis=0).max() > 0.0 else []),
     ]
 
 
 STRUCTURES = ("#D55E00", "#0072B2", "#009E73", "#000000")
 """Colours of protected structures, after Okabe and Ito (2008)."""
 AROUND_MM = 3.0
-"""Margin [mm] around the tissue in pictures with protected structures.
+"""Margin [mm] around the tissue and the nearest points in pictures with protected structures.
 
-The largest distance between tool and structure is added to this margin.
+The largest distance between tool and structure is added to the margin around the tissue.
 """
 ACROSS = 200
 """Number of points along each side of a section at which distances are computed."""
 
 
-def distances_to_structures(run: Run) -> dict[str, float]:
-    """Return the smallest distance [mm] between the tool and each protected structure.
-
-    A distance is negative if the tool was inside the structure. Ticks after the tool left the
-    simulated region are ignored.
-    """
-    clear = run.parts.keep_clear
-    found = {} if clear is None else clear.summary()
-    distances = {name: each["least_distance_mm"] for name, each in found.items()}
-    return {name: each for name, each in distances.items() if each is not None}
-
-
-def shown_mm(run: Run, section: Section) -> tuple[float, float, float, float]:
+def shown_mm(
+    run: Run, section: Section, near: Closest | None = None
+) -> tuple[float, float, float, float]:
     """Return the drawn extent of a section, (u0, u1, v0, v1) [mm].
 
     Without protected structures, the whole section is drawn. Otherwise, the extent is that of the
-    tissue plus a margin in which structures near the tool are visible.
+    tissue plus a margin in which structures near the tool are visible. It contains the nearest
+    points.
     """
     tissue = np.argwhere(section.start > 0.0)
     distances_mm = distances_to_structures(run).values()
@@ -485,33 +430,56 @@ def shown_mm(run: Run, section: Section) -> tuple[float, float, float, float]:
     around = AROUND_MM + np.clip(max(distances_mm), 0.0, size.max())
     low = (u0, v0) + edge * tissue.min(axis=0) - around
     high = (u0, v0) + edge * (tissue.max(axis=0) + 1) + around
+    if near is not None:
+        ends = section.project(near.points_mm)
+        low = np.minimum(low, ends.min(axis=0) - AROUND_MM)
+        high = np.maximum(high, ends.max(axis=0) + AROUND_MM)
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
 def draw_kept_clear(
-    axes: "Axes", run: Run, window: tuple[float, float, float, float], section: Section
+    axes: "Axes",
+    run: Run,
+    window: tuple[float, float, float, float],
+    section: Section,
+    near: Closest | None,
 ) -> "list[Artist]":
-    """Draw protected structures in a section; return legend entries with smallest distances."""
+    """Draw protected structures in a section.
+
+    Return legend entries with the distances at the shown time and the smallest distance.
+    """
+    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     clear = run.parts.keep_clear
-    if clear is None:
+    if clear is None or near is None:
         return []
     u, v = (np.linspace(window[k], window[k + 1], ACROSS) for k in (0, 2))
     points_m = 1e-3 * section.points_mm(u, v).reshape(-1, 3)
     end = run.parts.region_end
     until = "" if end is None or end.left_s is None else f",\nup to {end.left_s:.3f} s"
-    handles: list[Artist] = []
-    for (name, least_mm), colour in zip(
-        distances_to_structures(run).items(), cycle(STRUCTURES), strict=False
-    ):
+    distances_mm = distances_to_structures(run)
+    least_mm = distances_mm[near.name]
+    line = f"smallest distance of the tool,\n{least_mm:.2f} mm away from {near.name}{until}"
+    if least_mm < 0.0:
+        # the line of a depth need not lie in a plane with the axis
+        line = (
+            f"largest depth of the tool (projected),\n{-least_mm:.2f} mm inside {near.name}{until}"
+        )
+    handles: list[Artist] = [Line2D([], [], label=line, **NEAREST)]
+    for name, colour in zip(distances_mm, cycle(STRUCTURES), strict=False):
         depth = np.asarray(clear.distances[name](points_m)).reshape(ACROSS, ACROSS).T
         # the section does not meet the structure otherwise, and contour() would warn
         if depth.min() < 0.0 < depth.max():
             axes.contourf(u, v, depth, [float(depth.min()), 0.0], colors=[colour], alpha=0.15)
             axes.contour(u, v, depth, [0.0], colors=[colour], linewidths=[1.6])
-        side = "away" if least_mm >= 0.0 else "inside"
-        # a single line would be wider than the picture
-        label = f"{name}: smallest distance\nof the tool, {abs(least_mm):.2f} mm {side}{until}"
+        label = name
+        if name != near.name:
+            now_mm = float(run.trace[f"distance_{name}_mm"][section.row])
+            where = f"{now_mm:.2f} mm away from the tool"
+            if now_mm < 0.0:
+                where = f"tool {-now_mm:.2f} mm inside"
+            # a single line would be wider than the picture
+            label = f"{name}, at this time\n{where}"
         handles.append(Patch(facecolor=colour, alpha=0.4, label=label))
     return handles

@@ -14,7 +14,15 @@ from meshes.shapes.sdf import Shape, shape_triangles
 from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.cutters.body import body_points
 from tissue.models.bone.region_end import RegionEnd
-from tissue.models.keep_clear import APART_M, OVERLAP_M, Distance, KeepClear, Structure
+from tissue.models.keep_clear import (
+    APART_M,
+    DEEP_OVERLAP_M,
+    MANY_TRIANGLES,
+    OVERLAP_M,
+    Distance,
+    KeepClear,
+    Structure,
+)
 from tissue.models.tissue_model import StopsReporting
 from tissue.scene.anatomy import BlockImage, CutAnatomy, MolarSurfaces
 from tissue.scene.scene import KeepClear as Wanted
@@ -28,7 +36,7 @@ MARGIN_M = 10e-3
 POINTS_ACROSS = 12.0
 """Tool radius divided by the distance between points on the tool's surface.
 
-Pictures use these points. The value was chosen by judgement.
+These points determine the box that the tool can reach. The value was chosen by judgement.
 """
 
 
@@ -96,19 +104,20 @@ def _keep_clear(
         distances[name] = partial(triangle_distance, vertices, surface.faces)
         if surface.report.repairs:
             parts.notes[f"surface of {name}"] = " ".join(surface.report.repairs)
-    for name, structure in found.items():
-        apart_mm = 1e3 * (structure.slack_m + APART_M)
-        overlap_mm = 1e3 * (structure.slack_m + OVERLAP_M)
-        parts.notes[f"keep clear of {name}"] = (
-            f"the distance in the trace is never too large. It is too small by at most "
-            f"{apart_mm:.2g} mm, and in a breach by at most {overlap_mm:.2g} mm. Both errors are "
-            "larger if tens of thousands of triangles are equally near"
-        )
+    slack_m = max(structure.slack_m for structure in found.values())
+    deep = ""
+    if any(len(structure.faces) > MANY_TRIANGLES for structure in found.values()):
+        deep = f" ({1e3 * (slack_m + DEEP_OVERLAP_M):.2g} mm if it is more than 1 mm deep)"
+    parts.notes["keep clear"] = (
+        "no distance in the trace is too large. A distance is too small by at most "
+        f"{1e3 * (slack_m + APART_M):.2g} mm, and in a breach by at most "
+        f"{1e3 * (slack_m + OVERLAP_M):.2g} mm{deep}. Both errors are larger if tens of thousands "
+        "of triangles are equally near"
+    )
     return KeepClear(
         profile,
         found,
         distances,
-        points_m=points,
         box_m=np.array([low, high]),
         margin_m=1e-3 * wanted.margin_mm,
     )

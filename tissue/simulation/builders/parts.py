@@ -13,6 +13,7 @@ from meshes.base.errors import InputError, in_brackets, is_file, names_of_caller
 from meshes.base.placement import Placement
 from meshes.paths.toolpath import arc_length, points_along
 from meshes.shapes.anatomy import Anatomy
+from meshes.shapes.sdf import Shape
 from meshes.voxels.volume import FULL, VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.fem.fields import FieldSeries
@@ -158,9 +159,25 @@ def motion_of(scene: Scene) -> Motion:
 
 def reach(cutter: Cutter, motion: Motion, margin: float) -> Corners:
     """Return a box around all positions of the cutting surface, with a margin [m]."""
-    # With points an eighth of the radius apart, at most 0.09 mm of the reach is missed in the
-    # built-in scenes. This is much less than the margin of the voxels.
-    return swept_box(cutter.shell(spacing_m=cutter.profile.radius_m / 8.0).points_m, motion, margin)
+    return swept_box(cutter.coarse_shell_m(), motion, margin)
+
+
+def reach_of_tool(
+    cutter: Cutter, motion: Motion, margin: float, *, guide_hole: Shape | None
+) -> Corners:
+    """Return a box around all positions of the tool that can touch bone, with a margin [m].
+
+    Parts of the smooth surface that never leave the guide hole, such as a peg, touch no bone.
+    """
+    points = cutter.coarse_shell_m()
+    smooth = cutter.coarse_shell_m(cutting=False)
+    if guide_hole is not None and len(smooth):
+        every = slice(None, None, len(motion.sweep_m()) // POSES_TRIED + 1)
+        stays = np.ones(len(smooth), bool)
+        for tip, turn in zip(*poses_along(motion, every, POSES_TRIED), strict=True):
+            stays &= guide_hole.distance(tip + smooth @ turn.T) < 0.0
+        smooth = smooth[~stays]
+    return swept_box(np.concatenate([points, smooth]), motion, margin)
 
 
 def swept_box(shell: Array, motion: Motion, margin: float) -> Corners:

@@ -42,7 +42,13 @@ from tissue.scene.anatomy import (
     VertebraAnatomy,
 )
 from tissue.scene.scene import Scene
-from tissue.simulation.builders.parts import FILE_WORDS, Corners, box_text, reach, require_whole
+from tissue.simulation.builders.parts import (
+    FILE_WORDS,
+    Corners,
+    box_text,
+    reach_of_tool,
+    require_whole,
+)
 
 if TYPE_CHECKING:
     from meshes.surfaces.site import Site
@@ -67,7 +73,14 @@ def volume_of(
     """Return the voxels of bone that the tool can reach, with the guide hole."""
     spacing = scene.voxels.spacing_mm * 1e-3
     parameters = scene.bone
-    region = reach(cutter, motion, scene.voxels.margin_mm * 1e-3)
+    hole = _guide_hole(scene, motion)
+    # A hand can press the peg against the hole, so the region contains all of the peg.
+    region = reach_of_tool(
+        cutter,
+        motion,
+        scene.voxels.margin_mm * 1e-3,
+        guide_hole=hole if scene.device is None else None,
+    )
     with names_of_anatomy(parameters):
         if isinstance(parameters, BlockImage) and parameters.is_whole:
             return whole_image(parameters, spacing_mm=scene.voxels.spacing_mm, notes=notes)
@@ -95,7 +108,7 @@ def volume_of(
         anatomy,
         spacing_m=spacing,
         region_m=(low, high),
-        minus=_guide_hole(scene, motion),
+        minus=hole,
         progress=lambda share: report("voxelising", share),
     )
     if not is_procedural(parameters) or np.prod((high - low) / spacing) > MOST_KEPT:

@@ -7,7 +7,8 @@ import trimesh
 
 from tissue import load_scene, simulate
 from tissue.show.figures.force_depth import deepening_rows
-from tissue.show.figures.section import _handles, closest, draw_section, section_of
+from tissue.show.figures.nearest_points import closest
+from tissue.show.figures.section import _handles, draw_section, section_of
 
 pytest.importorskip("pyvista")
 
@@ -84,7 +85,6 @@ def test_section_goes_through_the_tool_and_the_nearest_point_of_a_structure(tmp_
     least_mm = run.summary["keep_clear"]["ball"]["least_distance_mm"]
     assert run.trace["distance_ball_mm"][near.row] == pytest.approx(least_mm)
     of_tool, of_ball = near.points_mm
-    # the points of the tool's body are apart by a twelfth of its radius of 1 mm
     assert np.linalg.norm(of_ball - of_tool) == pytest.approx(least_mm, abs=0.01)
     assert np.linalg.norm(of_ball - [2.0, 2.0, -3.0]) == pytest.approx(1.0, abs=0.01)
     section = section_of(run, near.row, of_ball)
@@ -99,3 +99,27 @@ def test_section_goes_through_the_tool_and_the_nearest_point_of_a_structure(tmp_
     assert "the tool&apos;s axis and the nearest point of ball" in (
         tmp_path / "section.svg"
     ).read_text().replace("'", "&apos;")
+
+
+def test_section_shows_the_depth_of_a_breach_and_other_distances_at_this_time(tmp_path):
+    for name, centre in (("ball", [0.3, 0.0, 2.2]), ("far", [0.0, 3.5, -3.0])):
+        ball = trimesh.creation.icosphere(subdivisions=4, radius=1.0)
+        ball.apply_translation(centre)
+        ball.export(tmp_path / f"{name}.stl")
+    files = {"files": {"ball": "ball.stl", "far": "far.stl"}}
+    (tmp_path / "scene.toml").write_text(tomli_w.dumps(BLOCK | {"keep_clear": files}))
+    with pytest.warns(UserWarning, match=r"the tool starts 1\.6\d mm inside ball\. Check the path"):
+        run = simulate(load_scene(tmp_path / "scene.toml"))
+    near = closest(run)
+    depth_mm = run.summary["keep_clear"]["ball"]["breach_depth_mm"]
+    assert near.row == 0 and depth_mm == pytest.approx(2.0 - np.hypot(0.3, 0.2), abs=0.02)
+    of_tool, of_ball = near.points_mm
+    assert np.linalg.norm(of_ball - of_tool) == pytest.approx(depth_mm, abs=0.02)
+    assert np.linalg.norm(of_ball - [0.3, 0.0, 2.2]) == pytest.approx(1.0, abs=0.01)
+    assert np.linalg.norm(of_tool - [0.0, 0.0, 2.0]) == pytest.approx(1.0, abs=0.01)
+    draw_section(run, tmp_path / "section.svg")
+    drawn = (tmp_path / "section.svg").read_text()
+    assert f"{depth_mm:.2f} mm inside ball" in drawn and "path of its tip" not in drawn
+    far_mm = run.trace["distance_far_mm"]
+    assert far_mm.min() < far_mm[0] - 1.0
+    assert f"{far_mm[0]:.2f} mm away from the tool" in drawn
