@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from meshes.base.arrays import Array
 from meshes.base.errors import (
     InputError,
+    names_of_caller,
     require_direction,
     require_range,
     require_vector,
@@ -116,7 +117,8 @@ class Loop:
             scene, use ``tissue.simulate(scene, device=...)``.
         start_mm
             Position of the tip at the start [mm], shape (3,). The origin of the device corresponds
-            to this position. The default is 2 mm above the middle of the tissue.
+            to this position. The default is 2 mm above the middle of the tissue. Above a curved
+            organ, the default is farther away if the tool would touch the organ there.
         axis
             Direction of the tool from tip to shank; default z. The axes of the device are parallel
             to those of the tissue.
@@ -205,9 +207,9 @@ class Loop:
         else:
             leave_out({"cores": cores}, "without a scene")
             along = require_direction("axis", (0.0, 0.0, 1.0) if axis is None else axis)
-            above = start_above(tissue, along) if start_mm is None else start_mm
-            start_m = 1e-3 * require_vector("start_mm", above)
             fitting = fitted(tissue, tool, keep_clear)
+            above = start_above(tissue, fitting, along) if start_mm is None else start_mm
+            start_m = 1e-3 * require_vector("start_mm", above)
             if device is None:
                 leave_out(options, "without a device")
             elif ticks != 1:
@@ -236,7 +238,8 @@ class Loop:
             self.notes |= judged.notes
             parts.motion = judged.motion
             self._loop = engine.Loop(parts, ticks=self._most, output=judged.output)
-            self._loop.place()
+            with names_of_caller({"motion": "start_mm"}):
+                self._loop.place()
         self._limits = _limits_of(self._loop.parts.tissue)
         self._row = TickRow(self._loop.trace.columns, self._loop.trace.layer_names)
         self._row.values_of_tick = self._loop.trace.rows[0]
@@ -259,6 +262,10 @@ class Loop:
             )
             return Parts(motion, model, cutter=tool, keep_clear=clearance_of(keep_clear, tool))
         assert isinstance(tool, PressingTool)
+        from tissue.simulation.builders.organ_scene import require_outside
+
+        with names_of_caller({"motion": "start_mm"}):
+            require_outside(tissue.soft.mesh, motion)
         self._organ = organ_around(tissue.soft, tool, start_m, along, reach_m=reach_m)
         # With a device, ticks must not wait for the solution of a law; see `run`.
         self._organ.waits = self._device is None

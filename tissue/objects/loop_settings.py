@@ -342,13 +342,16 @@ def region(start_m: Array, axis: Array, reach_m: float) -> Region:
     return Region(turn, place - reach_m, place + far)
 
 
-def start_above(tissue: Bone | Organ, axis: Array) -> Array:
-    """Return the default start position of a tip above the middle of a bone or an organ [mm]."""
+def start_above(tissue: Bone | Organ, tool: Cutter | PressingTool, axis: Array) -> Array:
+    """Return the default start position of a tip above the middle of a bone or an organ [mm].
+
+    For an organ, the start is moved along `axis` until the tool does not touch the organ.
+    """
     surface = tissue.surface()
     low, high = np.array(surface.bounds).reshape(3, 2).T
     middle = 0.5 * (low + high)
     size = float(np.linalg.norm(high - low))
-    found, _ = surface.ray_trace(middle + size * axis, middle - size * axis, first_point=True)
+    found, _ = surface.ray_trace(middle + size * axis, middle - size * axis)
     if np.size(found) == 0:
         raise InputError(
             "start_mm",
@@ -356,4 +359,14 @@ def start_above(tissue: Bone | Organ, axis: Array) -> Array:
             "none",
             "give a place above the surface",
         )
-    return np.asarray(found, dtype=np.float64).reshape(-1, 3)[0] + CLEARANCE_MM * axis
+    # pyvista does not sort the points along the ray.
+    points = np.asarray(found, dtype=np.float64).reshape(-1, 3)
+    start = points[np.argmax(points @ axis)] + CLEARANCE_MM * axis
+    if isinstance(tissue, Organ) and isinstance(tool, PressingTool):
+        from tissue.models.organ.press import surface_points_m
+
+        nodes = 1e3 * surface_points_m(tissue.soft, tool.shape)
+        turn = frame_along(axis)
+        while tool.shape.distance(1e-3 * (nodes - start) @ turn).min() <= 0.0:
+            start = start + CLEARANCE_MM * axis
+    return start

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import pyvista
 
 import tissue
 from tissue.haptics.device.recorded import RecordedDevice
@@ -216,3 +217,18 @@ def test_a_loop_that_is_not_held_or_full_is_refused():
         loop.step()
     with pytest.raises(tissue.InputError, match="longest_s"):
         loop.run(0.02)
+
+
+def test_default_start_is_outside_a_curved_organ():
+    """The tool starts outside the organ, above the highest point of the ray along its axis."""
+    surface = pyvista.Sphere(radius=40.0, theta_resolution=24, phi_resolution=24)
+    dimple = np.exp(-np.sum(((surface.points - [0, 0, 40]) / 15.0) ** 2, axis=1))
+    surface.points = surface.points * (1.0 - 0.5 * dimple[:, None])
+    organ = tissue.Organ.from_surface(
+        surface, modulus_kPa=6, poisson_ratio=0.45, edge_mm=14, order=1
+    )
+    for axis in ((0, 0, 1), (-0.5, 0, 0.866)):
+        loop = tissue.Loop(organ, tissue.ball(diameter_mm=30), device=Moves(down), axis=axis)
+        assert loop.row["contact_mm2"] == 0.0
+    with pytest.raises(tissue.InputError, match=r"^start_mm must start outside the organ"):
+        tissue.Loop(organ, device=Moves(down), start_mm=(30, 0, 0))

@@ -189,16 +189,20 @@ def press(
     )
 
 
-def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: Array) -> float:
-    """Return a distance from the target at which the tool does not touch the organ [m]."""
+def surface_points_m(organ: SoftOrgan, probe: ProbeShape) -> Array:
+    """Return points on the surface of an organ that a tool may touch [m], shape (n, 3)."""
     nodes = organ.space.nodes_m + organ.rest[1]
     triangles = linear_triangles(organ.space.faces)
     # A shell has its own contact points, so no points on the organ are needed.
     if isinstance(probe, ShellProbe):
-        points = nodes[np.unique(triangles)]
-    else:
-        places, weights, _ = contact_points(nodes, triangles, probe.spacing_m)
-        points = np.einsum("pk,pkx->px", weights, nodes[triangles[places]])
+        return nodes[np.unique(triangles)]
+    places, weights, _ = contact_points(nodes, triangles, probe.spacing_m)
+    return np.einsum("pk,pkx->px", weights, nodes[triangles[places]])
+
+
+def _clearance_m(organ: SoftOrgan, probe: ProbeShape, point_m: Array, rotation: Array) -> float:
+    """Return a distance from the target at which the tool does not touch the organ [m]."""
+    points = surface_points_m(organ, probe)
     for share in CLEARANCES:
         clear = share * probe.size_m[0]
         if probe.distance((points - point_m - clear * rotation[:, 2]) @ rotation).min() > 0.0:
