@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from device_doubles import PRESSED_S, Computed, Managed, Recording, block
 
+from meshes.base.errors import InputError
 from tissue import load_scene, simulate
 from tissue.haptics.device.device import DeviceError, device_parameters
 from tissue.haptics.device.safe_device import RAMP_S, SafeDevice
@@ -86,6 +87,18 @@ def test_an_exception_in_read_ends_at_zero_and_raises_one_sentence(kind, error, 
             and "\n" not in message
         )
         assert "at 0.300 s. Check the device" in message and saved.problem == message
+
+
+@pytest.mark.parametrize(
+    ("device", "words"),
+    [
+        (Computed, r"device must be an object, got the class Computed. Give Computed\(\)"),
+        (lambda time_s: None, "device must have read and command, got function without read"),
+    ],
+)
+def test_class_or_function_as_device_is_refused(device, words):
+    with pytest.raises(InputError, match=words):
+        pressed(device)
 
 
 @pytest.mark.parametrize("kind", KINDS)

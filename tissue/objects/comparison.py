@@ -123,7 +123,7 @@ class Comparison:
             for value, share in zip(others[::3], others[2::3], strict=True):
                 cells.append(_number(value) + (f" ({100.0 * share:+.3g} %)" if share else ""))
             if len(set(cells)) > 1:
-                found.append([figure, *cells])
+                found.append([_words(figure), *cells])
         return ["figure", *self.runs], found
 
     def to_pandas(self) -> "pandas.DataFrame":
@@ -295,7 +295,8 @@ class Comparison:
             for key, values in self.scene_differences.items()
         ]
         differing = {row[0] for row in self.texts()[1]}
-        same = [figure for figure, _ in self.rows()[1] if figure not in differing]
+        figures = [_words(figure) for figure, _ in self.rows()[1]]
+        same = [figure for figure in figures if figure not in differing]
         equal = [f"the same in all runs: {', '.join(same)}"] if same else []
         return [*(found or ["the scenes are the same"]), *equal, *self.notes]
 
@@ -315,6 +316,12 @@ class Comparison:
         if self.notes:
             shown += table_html([(note,) for note in self.notes])
         return f"<div>{shown}</div>"
+
+
+def _words(figure: str) -> str:
+    """Return the name of a summary value in readable tables."""
+    # Runs with equally many events may have different events.
+    return "number of events" if figure == "events" else figure
 
 
 @suggests_arguments

@@ -120,9 +120,6 @@ def judged_device(
     InputError
         If an option cannot be used, or the coupling is unstable and `allow_unstable` is not set.
     """
-    if isinstance(device, type):
-        name = device.__name__
-        raise InputError("device", "be an object", f"the class {name}", f"give {name}()")
     require_device(device)
     constants = Materials.of(options.get("materials"))
     with names_of_caller(ARGUMENTS):

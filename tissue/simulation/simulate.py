@@ -27,7 +27,13 @@ from tissue.scene.scene import Scene
 from tissue.scene.used_constants import used_constants
 from tissue.simulation.builders.arguments import given_note
 from tissue.simulation.builders.loop import horizon_text
-from tissue.simulation.builders.parts import Parts, TissueBuilder, motion_of, require_stated_rate
+from tissue.simulation.builders.parts import (
+    Parts,
+    TissueBuilder,
+    motion_of,
+    require_device,
+    require_stated_rate,
+)
 from tissue.simulation.builders.prediction import ADAPTIVE
 from tissue.simulation.findings import findings
 from tissue.simulation.loop import Loop, undisturbed
@@ -211,7 +217,10 @@ def _require_runnable(
             "fidelity in their place",
             "use tissue.simulate, which chooses the settings",
         )
-    if device is not None and scene.device is None:
+    if device is None:
+        return
+    require_device(device.device if isinstance(device, SafeDevice) else device)
+    if scene.device is None:
         raise InputError(
             "scene", "name the device that is given", "none", "set device, such as touch"
         )

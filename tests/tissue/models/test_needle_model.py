@@ -238,6 +238,16 @@ def test_a_needle_that_lies_flat_is_refused_where_it_touches():
                 model.advance(motion)
 
 
+def test_axis_in_the_direction_of_insertion_is_refused_with_the_opposite_axis():
+    motion = at(1.0)
+    motion.rotation[:] = Rotation.from_euler("y", 150, degrees=True).as_matrix()
+    with pytest.raises(
+        InputError,
+        match=r"out of the organ, got \(0.5, 0, -0.866\). .* Reverse it to \(-0.5, 0, 0.866\), in a",
+    ):
+        needle().advance(motion)
+
+
 @pytest.mark.parametrize("where", ["tip_m", "rotation"])
 def test_a_needle_that_is_nowhere_is_refused(where):
     model = needle()

@@ -186,6 +186,7 @@ def test_figures_that_are_equal_are_named_in_one_line(run, back):
     found = tissue.compare(run, back)
     assert found.texts()[1] == []
     assert found.lines()[1].startswith("the same in all runs: simulated_s, peak_force_N")
+    assert ", number of events" in found.lines()[1]
 
 
 def test_the_traces_of_all_runs_are_one_table(run, other, tmp_path):

@@ -4,7 +4,7 @@ from math import inf, isfinite, pi
 
 import numpy as np
 
-from meshes.base.errors import InputError, require_positive
+from meshes.base.errors import InputError, in_brackets, require_positive
 from tissue.fem.fields import FieldSeries
 from tissue.models.needle.fields import NeedleFields
 from tissue.models.needle.parameters import LEAST_COSINE, NeedleTissue, positive_root
@@ -439,6 +439,14 @@ class NeedleModel:
         if cosine >= LEAST_COSINE:
             return below / cosine
         if below > 0.0 or self.insertion.inserted_m > 0.0:
+            if cosine < 0.0:
+                axis = motion.rotation[:, 2]
+                raise InputError(
+                    "the needle's axis",
+                    "point from tip to shank, out of the organ",
+                    in_brackets(axis, ".3g"),
+                    f"reverse it to {in_brackets(0.0 - axis, '.3g')}, in a scene by motion.axis",
+                )
             raise InputError(
                 "the needle's axis",
                 "meet the surface at more than 10 degrees",

@@ -400,10 +400,13 @@ def new_device(kind: str, hardware: Hardware, *, start_m: Triple) -> Device | No
 
 
 def require_device(device: object, kind: str = "") -> None:
-    """Raise an error if a device lacks the method `read`, the method `command`, or both.
+    """Raise an error if a device is a class, or lacks the method `read` or `command`.
 
     The error names the device by `kind`, its name in a scene.
     """
+    if isinstance(device, type):
+        name = device.__name__
+        raise InputError("device", "be an object", f"the class {name}", f"give {name}()")
     missing = [name for name in ("read", "command") if not callable(getattr(device, name, None))]
     if missing:
         known = f" for {kind}" if kind else ""
