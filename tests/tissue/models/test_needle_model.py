@@ -243,7 +243,7 @@ def test_axis_in_the_direction_of_insertion_is_refused_with_the_opposite_axis():
     motion.rotation[:] = Rotation.from_euler("y", 150, degrees=True).as_matrix()
     with pytest.raises(
         InputError,
-        match=r"out of the organ, got \(0.5, 0, -0.866\). .* Reverse it to \(-0.5, 0, 0.866\), in a",
+        match=r"out of the organ, got \(0.5, 0, -0.866\)\. Reverse it to \(-0.5, 0, 0.866\), in a",
     ):
         needle().advance(motion)
 

@@ -340,6 +340,13 @@ def test_implausible_volume_is_noted_unless_the_unit_is_given(size_mm, is_noted)
         assert ("give scale_mm" in notes.get("unit", "")) is expected
 
 
+@pytest.mark.parametrize(("modulus_kPa", "is_noted"), [(6.0, False), (6000.0, True)])
+def test_modulus_far_from_that_of_liver_is_noted(modulus_kPa, is_noted):
+    mesh = cube((2, 2, 2), (48.0, 48.0, 48.0))
+    notes = tissue.Organ.from_tetrahedra(mesh, **STIFF | {"modulus_kPa": modulus_kPa}).notes
+    assert ("is modulus_kPa = 6000 in kPa?" in notes.get("modulus", "")) is is_noted
+
+
 @pytest.mark.parametrize(
     ("edge_mm", "order", "key"),
     [(2.9, 1, None), (3.5, 1, "contact area"), (3.5, 2, None), (4.5, 1, "mesh")],
