@@ -147,6 +147,8 @@ class Assessment:
     events
         Events that occur only in the trainee's run, each as a time [s] and a sentence. Two events
         count as equal if their sentences differ only in numbers.
+    missing
+        Events that occur only in the reference run, as for `events`.
     time_s
         Times of the trainee's ticks [s], shape (ticks,).
     deviation, force, depth
@@ -170,6 +172,7 @@ class Assessment:
     depth: Quantity
     notes: tuple[str, ...] = ()
     unscored: str = ""
+    missing: tuple[tuple[float, str], ...] = ()
 
     @property
     def breached(self) -> tuple[str, ...]:
@@ -292,22 +295,28 @@ def assess(
         "keep_clear": kept,
         "complete": {"trainee": trainee.complete, "reference": reference.complete},
     }
-    known = {_without_numbers(each["what"]) for each in reference.summary.get("events", ())}
     scale = Materials.cited if reference.scene is None else reference.scene.constants
     hand, unscored = _steadiness(trainee, mine, scale)
     return Assessment(
         hand,
         figures,
         tuple(sorted(breaches, key=lambda each: each.start_s)),
-        tuple(
-            (each["time_s"], each["what"])
-            for each in trainee.summary.get("events", ())
-            if _without_numbers(each["what"]) not in known
-        ),
+        _events_not_in(reference, trainee),
         time,
         *quantities,
         tuple(_notes(trainee, reference)),
         unscored,
+        _events_not_in(trainee, reference),
+    )
+
+
+def _events_not_in(other: AssessedRun, run: AssessedRun) -> tuple[tuple[float, str], ...]:
+    """Return the events of a run that the other run does not have, as times and sentences."""
+    known = {_without_numbers(each["what"]) for each in other.summary.get("events", ())}
+    return tuple(
+        (each["time_s"], each["what"])
+        for each in run.summary.get("events", ())
+        if _without_numbers(each["what"]) not in known
     )
 
 

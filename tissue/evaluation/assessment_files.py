@@ -62,6 +62,7 @@ def assessment_lines(found: Assessment) -> list[str]:
         *(f"limit exceeded: {each.sentence}" for each in found.breaches[:MOST_BREACHES]),
         *([f"limits were exceeded {more} more times"] if more > 0 else []),
         *(f"at {at:.3f} s, and not in the reference: {what}" for at, what in found.events),
+        *(f"only in the reference, at {at:.3f} s: {what}" for at, what in found.missing),
         *([] if found.breaches or found.breached else ["no limit was exceeded"]),
         *(f"the {who} was cut short" for who, whole in figures["complete"].items() if not whole),
         *(f"note: {note}" for note in found.notes),
@@ -136,6 +137,7 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
         "breaches": [asdict(each) for each in found.breaches],
         "notes": list(found.notes),
         "events": [{"time_s": at, "what": what} for at, what in found.events],
+        "missing_events": [{"time_s": at, "what": what} for at, what in found.missing],
     }
     with OwnedFolder(folder, "assessment", FILES, overwrite=overwrite):
         write_text(folder / FILES[0], json.dumps(data, indent=2) + "\n")

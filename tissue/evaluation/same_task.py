@@ -10,7 +10,7 @@ from meshes.base.errors import InputError
 from meshes.base.text_tables import shown
 from tissue.scene.load import names_file
 from tissue.scene.messages import entries
-from tissue.scene.scene import Scene
+from tissue.scene.scene import Scene, without_fields
 from tissue.scene.used_constants import used_constants
 from tissue.simulation.run_folder import Summary
 from tissue.simulation.trace import Table
@@ -21,7 +21,7 @@ TASK = ("anatomy", "keep_clear", "organ", "cutting", "tool")
 Correct forces and depths of the tool depend on these parts.
 """
 NUMERICAL = frozenset(
-    f"organ.{name}" for name in ("law_interval_ms", "order", "path", "basis_size", "interval_ms")
+    f"organ.{name}" for name in ("law_interval_ms", "order", "path", "basis_size")
 )
 """Numerical keys in the scene parts of `TASK`, which may differ between runs of one task."""
 FREE = ("name", "description", "seed", "device", "output", "fidelity")
@@ -100,7 +100,7 @@ def _task_constants(run: AssessedRun) -> dict[str, float]:
         return {}
     return {
         each.full: each.cited.value
-        for each in used_constants(run.scene, run.summary.get("layers", ()))
+        for each in used_constants(without_fields(run.scene), run.summary.get("layers", ()))
         if each.stated is None and each.full.partition(".")[0] not in OPERATOR
     }
 
@@ -158,9 +158,10 @@ def scene_differences(*scenes: Scene) -> dict[str, tuple[object, ...]]:
 def _differences(one: Scene, other: Scene) -> Iterator[tuple[str, object, object]]:
     """Yield each key whose value differs between two scenes, with both values.
 
-    Files of the same content count as equal. The value of a missing key is "nothing".
+    Files of the same content count as equal. The times of saved fields are ignored. The value of a
+    missing key is "nothing".
     """
-    for key, values in scene_differences(one, other).items():
+    for key, values in scene_differences(without_fields(one), without_fields(other)).items():
         if not _same_file(key, *values):
             first, second = ("nothing" if value is None else value for value in values)
             yield key, first, second

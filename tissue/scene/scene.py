@@ -493,3 +493,13 @@ class Scene(Part):
 
 for table in (ANATOMIES, CUTTERS, PROBES, NEEDLES, MOTIONS):
     table.on_change.append(partial(Scene.model_rebuild, force=True))
+
+
+def without_fields(scene: Scene) -> Scene:
+    """Return a copy of a scene that saves no fields during the run; fields do not affect forces."""
+    for name in ("anatomy", "organ"):
+        part = getattr(scene, name)
+        if "interval_ms" in type(part).model_fields:
+            still = part.model_copy(update={"interval_ms": 0.0})
+            scene = scene.model_copy(update={name: still})
+    return scene

@@ -13,7 +13,7 @@ from tissue.models.state import State, fingerprint
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.motion import Motion
 from tissue.motion.posed import PosedTool, pose_in
-from tissue.scene.scene import Output, Scene
+from tissue.scene.scene import Output, Scene, without_fields
 from tissue.simulation import loop as engine
 from tissue.simulation.builders.parts import Parts, motion_of
 from tissue.simulation.simulate import builder_of
@@ -148,12 +148,7 @@ def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Par
         As for `tissue.simulation.simulate.build`.
     """
     left_out = {"device": None, "stress": None, "heat": False, "fidelity": None}
-    scene = scene.model_copy(update=left_out)
-    for name in ("anatomy", "organ"):
-        part = getattr(scene, name)
-        if "interval_ms" in type(part).model_fields:
-            still = part.model_copy(update={"interval_ms": 0.0})
-            scene = scene.model_copy(update={name: still})
+    scene = without_fields(scene.model_copy(update=left_out))
     motion = _Widened(motion_of(scene), reach_m)
     parts = builder_of(scene.anatomy.kind)(
         scene, motion, step_s=TICK_S, compute="cpu", cores=cores, report=lambda what, share: None

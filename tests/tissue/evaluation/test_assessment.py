@@ -137,7 +137,7 @@ def test_alignment_never_goes_back_and_keeps_crossings_apart():
 
 
 def test_breaches_are_found_where_they_were_planted(tmp_path):
-    reference = saved(tmp_path / "r", reach(2.0))
+    reference = saved(tmp_path / "r", reach(2.0), events=[(0.9, "wall punctured with 2 N")])
     trainee = saved(
         tmp_path / "t",
         reach(2.0, deeper_mm=1.5, aside_mm=1.8),
@@ -164,6 +164,7 @@ def test_breaches_are_found_where_they_were_planted(tmp_path):
     assert force.limit == 12.0 and force.worst == pytest.approx(13.0, abs=0.01)
     assert found.figures["overshoot_mm"] == pytest.approx(1.5, abs=0.01)
     lines = assessment_lines(found)
+    assert "only in the reference, at 0.900 s: wall punctured with 2 N" in lines
     assert any("pulp exposed" in line for line in lines) and "the trainee was cut short" in lines
 
 
@@ -212,6 +213,14 @@ def test_runs_of_two_tasks_are_not_assessed(tmp_path, change):
     assert found.notes == ()
     # The trace of this run was made without the columns of a device.
     assert found.steadiness is None and "no device whose constants are known" in found.unscored
+
+
+def test_times_of_saved_fields_may_differ(tmp_path):
+    trainee = saved(tmp_path / "t", reach(1.0))
+    reference = saved(tmp_path / "r", reach(1.0))
+    trainee.scene = load_scene("needle", {"anatomy.interval_ms": 0.0})
+    reference.scene = load_scene("needle")
+    assert assess(trainee, reference).notes == ()
 
 
 @pytest.mark.parametrize(
