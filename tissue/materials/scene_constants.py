@@ -296,6 +296,8 @@ def _checked(model: type[Checked], found: object, name: str, path: str) -> Check
     except ValidationError as problem:
         first = problem.errors()[0]
         place = ".".join(map(str, (name, *first["loc"])))
+        if first["type"] == "missing":
+            raise InputError(place, f"be given in {path}", "nothing", "add it") from None
         shown = str(first["input"])[:100]
         raise InputError(
             place, f"be valid in {path}", shown, f"{first['msg'][:1].lower()}{first['msg'][1:]}"

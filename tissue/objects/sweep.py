@@ -432,7 +432,7 @@ def _unfinished(
                 "out",
                 "hold runs of this scene",
                 f"another scene in {each.path}",
-                "pass --overwrite to replace it or choose another --out",
+                "pass --overwrite (overwrite=True in Python) to replace it or choose another --out",
             )
         summary = summary_of(each.path)
         has_band = band is None or summary.get("band", {}).get("asked") == band

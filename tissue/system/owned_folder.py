@@ -221,7 +221,7 @@ def require_folder(
             "out",
             f"not hold another {kind}",
             path,
-            "pass --overwrite to replace it or choose another --out",
+            "pass --overwrite (overwrite=True in Python) to replace it or choose another --out",
         )
     return there
 

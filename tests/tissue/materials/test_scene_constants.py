@@ -78,7 +78,10 @@ PAIR = f'[correlation]\nnames = ["{RADIAL}", "cutting.bone.radial_edge_N_mm"]\n'
         (entry("cutting.bone.radial_chip", 1.0), "did you mean radial_chip_N_mm2"),
         (entry(RADIAL, 50.0, 1.0, 2.0), "inside its range"),
         (entry("soft.liver.poisson_ratio", 0.6, 0.5, 0.7), "within \\[0, 0.5\\]"),
-        (entry(RADIAL, 50.0).replace('source = "a test"', ""), "source"),
+        (
+            entry(RADIAL, 50.0).replace('source = "a test"', ""),
+            r"source must be given in .*nothing",
+        ),
         (entry(RADIAL, 50.0).replace('"a test"', '" "'), "radial_chip_N_mm2.source"),
         (entry(RADIAL, 50.0).replace('"L"', '"X"'), "radial_chip_N_mm2.confidence"),
         (entry(RADIAL, 50.0) + "range = [", "valid TOML"),

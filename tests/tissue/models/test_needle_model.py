@@ -94,9 +94,9 @@ def test_layers_and_the_one_that_the_tip_touches():
 def test_events_are_emitted_once_in_their_order():
     model = needle()
     go(model, [-1.0, 60.0])
-    assert model.notices[0] == "the capsule is punctured at 16.9 mm with 2.30 N"
+    assert model.notices[0] == "the capsule is punctured after 16.9 mm of travel with 2.30 N"
     assert re.fullmatch(
-        r"the vessel wall is punctured at \d+\.\d mm with \d\.\d\d N\. "
+        r"the vessel wall is punctured after \d+\.\d mm of travel with \d\.\d\d N\. "
         r"It lies 20\.0 mm deep and breaks at a tip force of \d\.\d\d N",
         model.notices[1],
     )

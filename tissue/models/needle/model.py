@@ -360,7 +360,10 @@ class NeedleModel:
         while punctured < insertion.punctured:
             at, force = insertion.punctures[punctured]
             membrane = self.tissue.membranes[punctured]
-            what = f"the {membrane.name} is punctured at {1e3 * at:.1f} mm with {force:.2f} N"
+            what = (
+                f"the {membrane.name} is punctured after {1e3 * at:.1f} mm of travel "
+                f"with {force:.2f} N"
+            )
             if membrane.depth_m > 0.0:
                 what += (
                     f". It lies {1e3 * membrane.depth_m:.1f} mm deep and breaks at a tip force of "

@@ -76,3 +76,9 @@ def test_picture_that_fails_leaves_the_other_files(tmp_path, monkeypatch):
     assert summary["status"] == "complete", summary
     assert "insertion.png was not drawn" in summary["notes"]["pictures"]
     assert (tmp_path / "out" / "pictures" / "force_torque.png").is_file()
+
+
+def test_spring_back_of_a_needle_is_part_of_the_insertion():
+    depth = np.array([0.0, 1.0, 2.0, 1.5, 2.5, 4.0, 3.5, 2.5, 1.0, 1.2, 0.5, 3.0])
+    inward = force_depth._inward(depth)
+    np.testing.assert_array_equal(inward, [True] * 6 + [False] * 5 + [True])
