@@ -62,10 +62,12 @@ def add_text(
 
 
 def add_names(plotter: Plotter, colours: Mapping[str, tuple[float, float, float]]) -> None:
-    """Write the keys of `colours` in a column at the right, each in its colour."""
-    for row, (name, colour) in enumerate(colours.items()):
-        # one line below the other, to the right of the scene
-        add_text(plotter, name, (0.87, 0.93 - 0.035 * row), size=11, colour=colour)
+    """Write the keys of `colours` in columns at the upper right, each in its colour."""
+    for place, (name, colour) in enumerate(colours.items()):
+        # a fourth line would lie on the title of the colour scale
+        column, row = divmod(place, 3)
+        at = (0.87 - 0.14 * column, 0.93 - 0.035 * row)
+        add_text(plotter, name, at, size=11, colour=colour)
 
 
 def add_slider(
