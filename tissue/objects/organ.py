@@ -150,7 +150,8 @@ class Organ:
             As for `from_tetrahedra`.
         edge_mm
             Edge length of the tetrahedra [mm]; default 1/14 of the longest side of the organ's
-            bounding box.
+            bounding box. Edges at the surface may be much shorter: the mesh follows the surface
+            within a tenth of this length, at most 0.4 mm.
         inclusions
             Closed surfaces inside the organ, keyed by name. The volume inside each surface becomes
             a part with this name, whose modulus is in `parts`.
