@@ -214,8 +214,8 @@ def _pairs(found: Sequence[MetricComparison]) -> Section:
         "Cohen's d of the force error for the pairs that differ at 5 % by these sign flips, "
         f"without correction for the number of tests: {', '.join(big) or 'none'}. Each interval of "
         "d holds for its pair alone, not for all pairs together. Simulated people differ less than "
-        "real people, so the same difference is "
-        "larger in standard deviations. The differences in percent above do not depend on that.",
+        "real people, so the same difference is larger in standard deviations. The differences in "
+        "percent above do not depend on that.",
     )
     picture = _sizes_picture(sizes) if sizes else b""
     return Section("pairs", "Pairs and sizes of effects", sentences, rows, picture)
