@@ -202,7 +202,8 @@ def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
     """
     lines = [
         "error at 4 ms on unseen runs, % of the force, of each predictor with its guard "
-        "(arithmetic mean over the runs, and its 95 % interval, computed for the logarithm of the mean)"
+        "(arithmetic mean over the runs, and its 95 % interval, computed for the logarithm of the "
+        "mean)"
     ]
     for each in found:
         at_delay = {kind: each.at(kind, DELAY_MS) for kind in PREDICTORS}
