@@ -201,7 +201,7 @@ def path_distance_mm(scene: Scene, motion: Motion, trace: Table) -> dict[str, fl
 
 
 def path_note(scene: Scene, parts: Parts, apart_mm: dict[str, float] | None) -> dict[str, str]:
-    """Return a note that suggests smaller scales of the coupling if a cutter in a hand left its path.
+    """Return a note that suggests smaller scales of the coupling if a hand left its path.
 
     The note also appears if the tool came too close to a structure and the distance from the path
     can be the reason. ``apart_mm`` is the result of `path_distance_mm`.

@@ -225,6 +225,14 @@ def test_constants_that_the_task_does_not_use_may_differ(tmp_path, table, name):
     assert assess(trainee, reference).notes == ()
 
 
+def test_runs_with_and_without_heat_are_of_one_task(tmp_path):
+    """Neither temperatures nor the constants that only they need change the task."""
+    reference = of_scene(saved(tmp_path / "r", reach(1.0)), heat=True)
+    trainee = of_scene(saved(tmp_path / "t", reach(1.0)))
+    note = "the scenes differ in heat: trainee false, reference true"
+    assert assess(trainee, reference).notes == (note,)
+
+
 def test_a_note_names_scales_of_the_coupling_that_differ(tmp_path):
     reference = of_scene(saved(tmp_path / "r", reach(1.0)), device="touch")
     trainee = of_scene(
