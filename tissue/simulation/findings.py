@@ -176,10 +176,10 @@ def region_note(parts: Parts, trace: Table) -> dict[str, str]:
     axes = tool_axes(trace.quaternions())
     margin_mm = end.sufficient_margin_mm(1e-3 * trace.vectors("tool", "mm"), axes)
     return {
-        "simulated region": f"the tool left it at {end.left_s:.3f} s. Forces, removed volumes and "
-        "the distance from the path are not valid after this time. With voxels.margin_mm = "
-        f"{margin_mm:g}, the region contains the motion of this run. The hand then also feels the "
-        "tissue that is now missing, so it may move differently"
+        "simulated region": f"the tool left it at {end.left_s:.3f} s. Forces, temperatures, "
+        "removed volumes and the distance from the path are not valid after this time. With "
+        f"voxels.margin_mm = {margin_mm:g}, the region contains the motion of this run. The "
+        "hand then also feels the tissue that is now missing, so it may move differently"
     }
 
 

@@ -473,13 +473,13 @@ def draw_kept_clear(
         if depth.min() < 0.0 < depth.max():
             axes.contourf(u, v, depth, [float(depth.min()), 0.0], colors=[colour], alpha=0.15)
             axes.contour(u, v, depth, [0.0], colors=[colour], linewidths=[1.6])
-        label = name
+        label = f"surface of {name}"
         if name != near.name:
             now_mm = float(run.trace[f"distance_{name}_mm"][section.row])
             where = f"{now_mm:.2f} mm away from the tool"
             if now_mm < 0.0:
                 where = f"tool {-now_mm:.2f} mm inside"
             # a single line would be wider than the picture
-            label = f"{name}, at this time\n{where}"
+            label = f"surface of {name}, at this time\n{where}"
         handles.append(Patch(facecolor=colour, alpha=0.4, label=label))
     return handles

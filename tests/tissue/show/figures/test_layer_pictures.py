@@ -96,6 +96,7 @@ def test_section_goes_through_the_tool_and_the_nearest_point_of_a_structure(tmp_
     at = tuple(int((place - low) / SPACING_MM) for place, low in ((0.0, u0), (0.5, v0)))
     assert section.start[at] == 1.0 and section.left[at] == 0.0
     draw_section(run, tmp_path / "section.svg")
+    assert "surface of ball" in (tmp_path / "section.svg").read_text()
     assert "the tool&apos;s axis and the nearest point of ball" in (
         tmp_path / "section.svg"
     ).read_text().replace("'", "&apos;")
