@@ -17,7 +17,7 @@ from tissue.motion.motion import Events, Motion, frame_along
 from tissue.scene.anatomy import Bone, MolarAnatomy, Tooth
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.scene import Scene
-from tissue.scene.tool import PathMotion, ThrustMotion, Tool
+from tissue.scene.tool import PathMotion, ReplayMotion, ThrustMotion, Tool
 from tissue.simulation.bone_surface import tool_axes
 from tissue.simulation.builders.force_met import chosen_scale, force_met
 from tissue.simulation.builders.parts import Parts
@@ -150,14 +150,18 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
             )
     if parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
         return found
-    if isinstance(scene.motion, PathMotion) and isinstance(scene.tool, Tool):
-        steps_mm = np.diff(np.array(scene.motion.points_mm), axis=0)
-        length_mm = float(np.linalg.norm(steps_mm, axis=1).sum())
+    if isinstance(scene.motion, PathMotion | ReplayMotion) and isinstance(scene.tool, Tool):
+        points_mm = 1e3 * parts.motion.sweep_m()
+        check = "that the columns of motion.file have the units of their names"
+        if isinstance(scene.motion, PathMotion):
+            points_mm = np.array(scene.motion.points_mm)
+            check = "that motion.points_mm is in mm"
+        length_mm = float(np.linalg.norm(np.diff(points_mm, axis=0), axis=1).sum())
         # a path in metres is a thousand times shorter
         if 0.0 < length_mm < 0.01 * scene.tool.diameter_mm:
             found["length of the path"] = (
                 f"only {length_mm:.3g} mm, which is less than 1 % of the tool's diameter; check "
-                "that motion.points_mm is in mm"
+                f"{check}"
             )
     if not np.any(parts.tissue.removed_m3):
         found["removed"] = (

@@ -76,3 +76,13 @@ def test_the_notes_of_a_run_contain_the_note_on_its_path(monkeypatch):
     changes = {"device": "touch", "duration_s": 0.02, "voxels.spacing_mm": 0.5}
     notes = tissue.simulate(tissue.load_scene("milling", changes)).summary["notes"]
     assert "coupling.force_scale = " in notes["distance from the path"]
+
+
+def test_a_replay_of_a_file_in_metres_gets_a_note(tmp_path):
+    header = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw"
+    rows = "0,0,0,0.002,0,0,0,1\n0.02,0,0,-0.001,0,0,0,1\n"
+    (tmp_path / "poses.csv").write_text(f"{header}\n{rows}")
+    motion = {"motion.kind": "replay", "motion.file": str(tmp_path / "poses.csv")}
+    run = tissue.simulate(tissue.load_scene("milling", motion | {"voxels.spacing_mm": 0.5}))
+    note = run.summary["notes"]["length of the path"]
+    assert note.startswith("only 0.003 mm") and "columns of motion.file" in note
