@@ -220,7 +220,7 @@ def path_note(scene: Scene, parts: Parts, apart_mm: dict[str, float] | None) -> 
         return {}
     note = f"the tool left the path by {apart_mm['largest']:.3g} mm"
     for name, distance_mm in close_mm.items():
-        note += f". The smallest distance to {name} was {distance_mm:.3g} mm"
+        note += f". The smallest distance to {name} was {distance_mm:.3f} mm"
     if is_far:
         note += _force_scale_note(scene, apart_mm["largest"], radius_mm)
     scale = scene.motion_scale

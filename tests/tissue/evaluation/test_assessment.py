@@ -336,7 +336,7 @@ def test_a_run_that_breached_a_structure_is_never_ranked_above_one_that_did_not(
     )
     assert noted == ("steady",)
     lines = ranking_lines(found)
-    assert "   least distance to pulp: -0.07 mm (breached)" in lines
+    assert "   least distance to pulp: -0.070 mm (breached)" in lines
     assert lines[lines.index(f"note: {note}") + 1] == "   steady"
     write_ranking(found, tmp_path / "out", overwrite=False)
     header, *rows = (tmp_path / "out" / "ranking.csv").read_text().splitlines()
@@ -426,7 +426,7 @@ def test_least_distances_to_structures_of_both_runs_are_listed(tmp_path):
         runs.append(run)
     found = assess(*runs)
     assert found.figures["least_distance_mm"] == {"canal": {"trainee": 0.4, "reference": 1.5}}
-    assert "least distance to canal: 0.40 mm against 1.50" in assessment_lines(found)
+    assert "least distance to canal: 0.400 mm against 1.500" in assessment_lines(found)
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,7 @@ def test_a_hand_too_close_to_a_structure_gets_a_note_with_a_smaller_motion_scale
         cutter=cutter_of(scene.tool), keep_clear=SimpleNamespace(summary=lambda: kept)
     )
     (note,) = path_note(scene, parts, {"largest_in_contact": 0.64, "largest": 0.64}).values()
-    assert "left the path by 0.64 mm. The smallest distance to pulp was 0.74 mm. With a" in note
+    assert "left the path by 0.64 mm. The smallest distance to pulp was 0.740 mm. With a" in note
     assert "coupling.motion_scale, such as 0.1 instead of 0.5" in note
     assert "force_scale" not in note
     # the path itself must be closer than 1 mm if the hand was only 0.2 mm away from it
