@@ -34,7 +34,8 @@ FREE_TABLES = ("hands", "devices", "tooth")
 """Tables of constants that may differ between runs of the same task.
 
 These are the constants of the user, the device, and the computations of stress and heat, which do
-not change the force on the tool. All other constants that the tissue and the tool of the run use must be equal.
+not change the force on the tool. All other constants that the tissue and the tool of the run use
+must be equal.
 """
 
 

@@ -207,9 +207,10 @@ def _require_motion(position_m: Array, novice: HandParameters, scored: int | Non
         if np.mean(before_rest) >= 1.0 - QUANTILE:
             shorter = ", or end the run when the hand rests: set duration_s"
         raise InputError(
-            f"the device moves at {least_mm_s:.1f} mm/s or faster for {100.0 * np.mean(is_fast):.0f} % of "
-            f"the scored {len(speeds_mm_s) * TICK_S:.2f} s. A score needs 25 %, because at lower "
-            "speeds friction hides the tremor. Move faster, or set a smaller "
+            f"the device moves at {least_mm_s:.1f} mm/s or faster for "
+            f"{100.0 * np.mean(is_fast):.0f} % of the scored "
+            f"{len(speeds_mm_s) * TICK_S:.2f} s. A score needs 25 %, because at lower speeds "
+            "friction hides the tremor. Move faster, or set a smaller "
             f"coupling.motion_scale, with which the device moves farther{shorter}"
         )
 
