@@ -79,7 +79,7 @@ def test_the_distance_from_a_canal_in_a_block_is_that_of_a_ball_from_a_cylinder(
 def test_the_result_table_has_the_smallest_distance_and_the_simulated_volume(run):
     rows = dict(run_rows(run.summary))
     least = run.summary["keep_clear"]["canal"]["least_distance_mm"]
-    assert rows["smallest distance to canal"] == f"{least:.3g} mm"
+    assert rows["smallest distance to canal"] == f"{least:.3f} mm"
     (layer,) = run.summary["start_mm3"]
     removed = run.summary["removed_mm3"][layer]
     start = run.summary["start_mm3"][layer]

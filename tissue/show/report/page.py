@@ -69,7 +69,7 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
     rows += [
         (
             f"smallest distance to {name}",
-            f"{each['least_distance_mm']:.3g} mm{_margin_text(each)}{until}",
+            f"{each['least_distance_mm']:.3f} mm{_margin_text(each)}{until}",
         )
         for name, each in summary.get("keep_clear", {}).items()
     ]
