@@ -174,11 +174,7 @@ class Assessment:
     @property
     def breached(self) -> tuple[str, ...]:
         """Names of the protected structures that the trainee's tool breached."""
-        return tuple(
-            name
-            for name, each in self.figures["keep_clear"].items()
-            if each.get("first_breach_s") is not None
-        )
+        return _breached(self.figures["keep_clear"])
 
 
 def assess(
@@ -378,7 +374,17 @@ def _drilling_ticks(scene: Scene, trace: Table) -> int:
     return int(reached[0]) if len(reached) else len(trace.rows)
 
 
-def _keep_clear(summary: Summary, trace: Table) -> dict[str, dict[str, float | None]]:
+def breached_structures(run: AssessedRun) -> tuple[str, ...]:
+    """Return the names of the protected structures that the tool of a run breached."""
+    return _breached(_keep_clear(run.summary, run.trace))
+
+
+def _breached(kept: Mapping[str, Mapping[str, float | None]]) -> tuple[str, ...]:
+    """Return the names of the structures with a breach."""
+    return tuple(name for name, each in kept.items() if each.get("first_breach_s") is not None)
+
+
+def _keep_clear(summary: Summary, trace: Table | None) -> dict[str, dict[str, float | None]]:
     """Return the smallest tool distance and the breach, if any, for each protected structure.
 
     For a run that was stopped early, the values are computed from the distances in the trace,
@@ -386,7 +392,9 @@ def _keep_clear(summary: Summary, trace: Table) -> dict[str, dict[str, float | N
     """
     if "keep_clear" in summary:
         return dict(summary["keep_clear"])
-    found = {}
+    found: dict[str, dict[str, float | None]] = {}
+    if trace is None:
+        return found
     for column in trace.columns:
         if not column.startswith("distance_"):
             continue

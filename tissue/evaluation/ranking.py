@@ -11,7 +11,12 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, counted
 from meshes.base.text_tables import natural_order
 from meshes.base.whole_file import write_rows
-from tissue.evaluation.assessment import Assessment, NoSharedContactError, assess
+from tissue.evaluation.assessment import (
+    Assessment,
+    NoSharedContactError,
+    assess,
+    breached_structures,
+)
 from tissue.evaluation.same_task import AssessedRun, OtherTaskError, coupling_notes
 from tissue.evaluation.statistics.intervals import mean_interval
 from tissue.evaluation.steadiness import SCALE, Steadiness
@@ -196,22 +201,22 @@ def rank(
         without_score = []
         for path in runs:
             run = load(path)
+            breached = ", ".join(breached_structures(run))
+            harm = f"breached {breached} and " if breached else ""
             try:
                 found = assess(run, reference, **limits)  # type: ignore[arg-type]
             except NoSharedContactError as problem:
-                left_out.append(f"{path} {problem.reason}")
+                left_out.append(f"{path} {harm}{problem.reason}")
                 continue
             except OtherTaskError as problem:
                 left_out.append(
-                    f"{path} is of another task than the reference: {problem.difference}. "
+                    f"{path} {harm}is of another task than the reference: {problem.difference}. "
                     "Run the scene of the reference"
                 )
                 continue
             except InputError as refusal:
                 raise InputError(f"{path}: {refusal}") from refusal
             if found.steadiness is None:
-                breached = ", ".join(found.breached)
-                harm = f"breached {breached} and " if breached else ""
                 left_out.append(f"{path} {harm}has no score: {found.unscored}")
                 without_score.append(Attempt(path.name, found))
                 continue

@@ -372,6 +372,29 @@ def test_constants_of_a_trainee_do_not_change_the_scale_of_the_score(tmp_path):
     assert own.score == cited.score
 
 
+def test_the_margin_to_a_structure_is_no_part_of_the_task(tmp_path):
+    kept = {"keep_clear__names": ["nerve"]}
+    trainee = of_scene(saved(tmp_path / "t", reach(1.0)), **kept)
+    reference = of_scene(saved(tmp_path / "r", reach(1.0)), keep_clear__margin_mm=1.0, **kept)
+    (note,) = assess(trainee, reference).notes
+    assert note == "the scenes differ in keep_clear.margin_mm: trainee 0, reference 1"
+
+
+def test_breaches_of_runs_that_are_left_out_are_reported(tmp_path):
+    path = reach(1.5)
+    runs = {
+        "anna": clear(scored(tmp_path, saved(tmp_path / "people" / "anna", path)), 0.9),
+        "carl": clear(of_scene(saved(tmp_path / "people" / "carl", path)), -0.1),
+        "dora": saved(tmp_path / "people" / "dora", path + np.array([0.0, 0.0, 10.0])),
+    }
+    runs["carl"].scene = load_scene("milling", {"tool.diameter_mm": 5.0})
+    clear(runs["dora"], -0.2)
+    found = rank(tmp_path / "people", runs["anna"], lambda folder: runs[folder.name])
+    carl, dora = found.left_out
+    assert "carl breached pulp and is of another task" in carl
+    assert dora.endswith("dora breached pulp and touches nothing")
+
+
 def test_a_breach_of_a_run_without_a_score_is_reported(tmp_path):
     path = reach(1.5)
     runs = {
