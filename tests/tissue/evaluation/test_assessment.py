@@ -395,6 +395,42 @@ def test_breaches_of_runs_that_are_left_out_are_reported(tmp_path):
     assert dora.endswith("dora breached pulp and touches nothing")
 
 
+def test_a_ranking_names_the_limits_and_the_trainees_over_a_limit(tmp_path, monkeypatch):
+    """The second attempt of Anna is too deep, and no run finished its path."""
+    path = reach(1.5)
+    runs = {
+        "anna/attempt-1": shaken(path, 0.1),
+        "anna/attempt-2": shaken(reach(1.5, deeper_mm=1.5), 0.1),
+        "ben": shaken(path, 0.1),
+    }
+    people = tmp_path / "people"
+    loaded = {
+        people / name: scored(people / name, saved(people / name, each))
+        for name, each in runs.items()
+    }
+    for depth_mm, run in enumerate(loaded.values()):
+        run.summary["notes"] = {"path": f"not finished: the tip reached a depth of {depth_mm} mm"}
+    reference = scored(tmp_path / "r", saved(tmp_path / "r", path))
+    found = rank(people, reference, loaded.get)
+    lines = ranking_lines(found)
+    (limits,) = (line for line in lines if line.startswith("limits: force 12.5 N, distance"))
+    assert limits.endswith(" mm from the first contact of the reference")
+    assert "   depth over the limit: anna (1 of 2 attempts)" in lines
+    notes = [line for line in lines if "not finished" in line]
+    assert notes == ["note: the path of the trainee is not finished"]
+    assert not any(line.startswith("hint") for line in lines)
+    charts = []
+    monkeypatch.setattr(ranking, "save", lambda chart, path: charts.append(chart))
+    write_ranking(found, tmp_path / "out", overwrite=False)
+    (chart,) = charts
+    assert limits in chart.get_suptitle()
+    assert chart.axes[0].get_xlabel() == "score (x: one attempt)"
+    crosses = [line.get_xdata() for line in chart.axes[0].lines if line.get_marker() == "x"]
+    assert [len(each) for each in crosses] == [2]
+    attempts = ranking_lines(rank(people / "anna", reference, loaded.get))
+    assert any(line.startswith("hint: every folder counts as a trainee") for line in attempts)
+
+
 def test_a_breach_of_a_run_without_a_score_is_reported(tmp_path):
     path = reach(1.5)
     runs = {
