@@ -100,10 +100,13 @@ def _score_line(hand: Steadiness) -> str:
 
 
 def assessed_section(
-    trainee: AssessedRun, reference: AssessedRun, *, force_limit_N: float | None = None
+    trainee: AssessedRun, reference: AssessedRun, **limits: float
 ) -> tuple[list[str], bytes]:
-    """Assess a run; return the lines of text and the picture (PNG) for a report."""
-    found = assess(trainee, reference, force_limit_N=force_limit_N)
+    """Assess a run; return the lines of text and the picture (PNG) for a report.
+
+    See `assess` for the `limits`.
+    """
+    found = assess(trainee, reference, **limits)
     with TemporaryDirectory() as folder:
         picture = Path(folder) / FILES[1]
         draw_assessment(found, picture)

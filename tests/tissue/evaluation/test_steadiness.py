@@ -153,6 +153,9 @@ def test_the_command_ranks_a_folder_of_trainees(runs, command, refused, here):
     assert "folder must hold at least one run for each trainee" in refused(
         "assess", "people", "--against", reference
     )
+    assert "--deviation-limit-mm must be left out without --against" in refused(
+        "report", reference, "--deviation-limit-mm", 2
+    )
 
 
 def test_a_run_without_contact_is_left_out_and_the_others_are_ranked(runs, tmp_path):
@@ -181,10 +184,13 @@ def test_a_report_contains_the_assessment(runs, tmp_path):
     text = path.read_text("utf-8")
     assert "<h2>Assessment</h2>" in text and "<li>score: " in text
     limited = tmp_path / "limited.html"
-    text = tissue.report(trainee, limited, against=reference, force_limit_N=7.25).read_text("utf-8")
-    assert "limits: force 7.25 N" in text
-    with pytest.raises(InputError, match="force_limit_N must be left out without a reference run"):
-        tissue.report(trainee, tmp_path / "c.html", force_limit_N=7.25)
+    limits = {"force_limit_N": 7.25, "deviation_limit_mm": 3.5, "overshoot_limit_mm": 1000.0}
+    text = tissue.report(trainee, limited, against=reference, **limits).read_text("utf-8")
+    assert "limits: force 7.25 N, distance from the path 3.5 mm, depth 1e+03 mm" in text
+    for name, value in limits.items():
+        words = f"{name} must be left out without a reference run"
+        with pytest.raises(InputError, match=words):
+            tissue.report(trainee, tmp_path / "c.html", **{name: value})
     assert "<h2>Assessment</h2>" not in tissue.report(trainee, tmp_path / "b.html").read_text()
 
 
