@@ -239,11 +239,13 @@ def assess(
     ideal_force = np.linalg.norm(ideal_forces, axis=1)
     peak = float(ideal_force.max())
     deepest = float(ideal_depth.max())
+    if force_limit_N is None and peak == 0.0:
+        raise InputError(
+            "the force of the reference run is zero, so the default limit of the force is zero. "
+            "Use a reference that touches the tissue, or give --force-limit-N"
+        )
     limit = FORCE_MARGIN * peak if force_limit_N is None else force_limit_N
-    # a reference without a force would give a default limit of zero
-    require_positive(
-        "force_limit_N", limit, "use a reference that touches the tissue, or give --force-limit-N"
-    )
+    require_positive("force_limit_N", limit, "use a value such as 30, or leave it out")
     require_positive("deviation_limit_mm", deviation_limit_mm, "use a value such as 1")
     require_positive("overshoot_limit_mm", overshoot_limit_mm, "use a value such as 0.5")
     if not force.any():

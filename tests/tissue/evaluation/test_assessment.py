@@ -395,6 +395,17 @@ def test_breaches_of_runs_that_are_left_out_are_reported(tmp_path):
     assert dora.endswith("dora breached pulp and touches nothing")
 
 
+def test_a_missing_limit_and_a_limit_of_zero_are_told_apart(tmp_path):
+    trainee = saved(tmp_path / "t", reach(1.0))
+    with pytest.raises(
+        InputError, match=r"force_limit_N must be positive and finite, got 0\.0\. Use"
+    ):
+        assess(trainee, trainee, force_limit_N=0.0)
+    reference = saved(tmp_path / "r", reach(1.0), force_scale=0.0)
+    with pytest.raises(InputError, match="the force of the reference run is zero"):
+        assess(trainee, reference)
+
+
 def test_a_ranking_names_the_limits_and_the_trainees_over_a_limit(tmp_path, monkeypatch):
     """The second attempt of Anna is too deep, and no run finished its path."""
     path = reach(1.5)
