@@ -275,13 +275,15 @@ def draw_wall(run: Run, path: Path) -> None:
         end = deep + LONGEST * (high - low)
         draw_arrow(side, (at, deep), (at, end), FORCE, width=2.0)
         side.text(at, end, f"{force[row]:.3g} N", color=FORCE, ha="center", va="bottom")
-    side.set(xlabel=f"{'xy'[across]} / mm", ylabel="z / mm", ylim=(low, high))
+    side.set(xlabel=f"{'xy'[across]} / mm", ylabel="z / mm")
+    # a path wider than the panel extends these limits, and fixed limits would print a warning
+    side.set_ylim(low, high, auto=True)
     side.set_aspect("equal", adjustable="datalim")
     felt.plot(-aimed[:, 2], force, color=FORCE, linewidth=1.4, label="of the wall on the ball")
     felt.set_ylabel("force along z / N")
     # a fifth of the depth is shown before the contact
     felt.set_xlim(left=0.2 * min(float(aimed[:, 2].min()), -1.0))
     plain((side, felt))
-    side.legend(loc="upper right")
+    legend_above(side, 3)
     felt.legend(loc="upper left")
     save(chart, path)
