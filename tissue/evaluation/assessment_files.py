@@ -40,8 +40,9 @@ def assessment_lines(found: Assessment) -> list[str]:
             f"{apart['worst_at_s']:.3f} s"
         ),
         f"depth: {figures['overshoot_mm']:.2f} mm beyond the reference's deepest point",
-        f"force: peak {peak['trainee']:.3g} N against {peak['reference']:.3g}, "
-        f"{100.0 * figures['force_error']:.0f} % from the reference's at the same place",
+        f"force: peak {peak['trainee']:.3g} N against {peak['reference']:.3g}; the RMS difference "
+        f"from the reference at the same place is {100.0 * figures['force_error']:.0f} % of the "
+        "reference's RMS force",
         *(
             [
                 f"removed: {removed['trainee']:.3g} mm3 against {removed['reference']:.3g}, "
@@ -52,7 +53,7 @@ def assessment_lines(found: Assessment) -> list[str]:
         ),
         f"time from first to last contact: {time['trainee']:.2f} s against {time['reference']:.2f}",
         *(
-            f"least distance to {name}: {each['trainee']:.2f} mm against {each['reference']:.2f}"
+            f"least distance to {name}: {each['trainee']:.3f} mm against {each['reference']:.3f}"
             for name, each in figures["least_distance_mm"].items()
         ),
         limits_line(found),

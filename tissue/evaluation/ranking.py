@@ -276,7 +276,7 @@ def ranking_lines(found: Ranking) -> list[str]:
         lines.append(line)
         for name in structures:
             distances = ", ".join(
-                f"{each.least_mm(name):.2f} mm" + " (breached)" * (name in each.found.breached)
+                f"{each.least_mm(name):.3f} mm" + " (breached)" * (name in each.found.breached)
                 for each in person.attempts
             )
             lines.append(f"   least distance to {name}: {distances}")

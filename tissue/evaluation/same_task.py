@@ -33,10 +33,12 @@ FREE = ("name", "description", "seed", "device", "output", "fidelity")
 These keys describe the run, the user who moves the tool, and the device. Differences of the
 coupling are reported by `coupling_notes`.
 """
-OPERATOR = ("hands", "devices")
-"""Tables of constants, of user and device, that may differ between runs of the same task.
+FREE_TABLES = ("hands", "devices", "tooth")
+"""Tables of constants that may differ between runs of the same task.
 
-All other constants that the tissue and the tool of the run use must be equal.
+These are the constants of the user, the device, and the computations of stress and heat, which do
+not change the force on the tool. All other constants that the tissue and the tool of the run use
+must be equal.
 """
 
 
@@ -104,7 +106,7 @@ def _task_constants(run: AssessedRun) -> dict[str, float]:
     return {
         each.full: each.cited.value
         for each in used_constants(run.scene, run.summary.get("layers", ()))
-        if each.stated is None and each.full.partition(".")[0] not in OPERATOR
+        if each.stated is None and each.full.partition(".")[0] not in FREE_TABLES
     }
 
 

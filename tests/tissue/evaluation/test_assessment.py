@@ -225,6 +225,14 @@ def test_constants_that_the_task_does_not_use_may_differ(tmp_path, table, name):
     assert assess(trainee, reference).notes == ()
 
 
+def test_runs_with_and_without_heat_are_of_one_task(tmp_path):
+    """Neither temperatures nor the constants that only they need change the task."""
+    reference = of_scene(saved(tmp_path / "r", reach(1.0)), heat=True)
+    trainee = of_scene(saved(tmp_path / "t", reach(1.0)))
+    note = "the scenes differ in heat: trainee false, reference true"
+    assert assess(trainee, reference).notes == (note,)
+
+
 def test_a_note_names_scales_of_the_coupling_that_differ(tmp_path):
     reference = of_scene(saved(tmp_path / "r", reach(1.0)), device="touch")
     trainee = of_scene(
@@ -328,7 +336,7 @@ def test_a_run_that_breached_a_structure_is_never_ranked_above_one_that_did_not(
     )
     assert noted == ("steady",)
     lines = ranking_lines(found)
-    assert "   least distance to pulp: -0.07 mm (breached)" in lines
+    assert "   least distance to pulp: -0.070 mm (breached)" in lines
     assert lines[lines.index(f"note: {note}") + 1] == "   steady"
     write_ranking(found, tmp_path / "out", overwrite=False)
     header, *rows = (tmp_path / "out" / "ranking.csv").read_text().splitlines()
@@ -488,7 +496,7 @@ def test_least_distances_to_structures_of_both_runs_are_listed(tmp_path):
         runs.append(run)
     found = assess(*runs)
     assert found.figures["least_distance_mm"] == {"canal": {"trainee": 0.4, "reference": 1.5}}
-    assert "least distance to canal: 0.40 mm against 1.50" in assessment_lines(found)
+    assert "least distance to canal: 0.400 mm against 1.500" in assessment_lines(found)
 
 
 @pytest.mark.parametrize(

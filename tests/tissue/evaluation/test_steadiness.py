@@ -242,8 +242,11 @@ def test_a_run_without_a_device_or_too_short_has_no_score(tmp_path):
     assert float(known["peak_force_N"]) > 0.0 and float(known["removed_mm3"]) > 0.0
     with pytest.raises(InputError, match=r"run must last at least 1 s, got 0\.9\. "):
         steadiness(FREE[:900], FREE[:900], DEVICE)
-    with pytest.raises(InputError, match=r"moves at 6\.3 mm/s or faster for 0 % of the scored 4"):
+    with pytest.raises(InputError, match=r"at 6\.3 mm/s or faster for 0 % of the scored 4") as slow:
         steadiness(0.1 * shaken(1e-4), FREE, DEVICE)
+    # the device is slow all the time, so a shorter run does not help
+    assert "smaller coupling.motion_scale" in str(slow.value)
+    assert "duration_s" not in str(slow.value)
 
 
 def test_a_rest_after_the_scored_ticks_does_not_change_the_score():
@@ -251,7 +254,7 @@ def test_a_rest_after_the_scored_ticks_does_not_change_the_score():
     rest = np.broadcast_to(moving[-1], (4 * len(moving), 3))
     whole = np.concatenate([moving, rest])
     force = np.zeros_like(whole)
-    with pytest.raises(InputError, match="Move faster, or end the run when the hand rests"):
+    with pytest.raises(InputError, match="farther, or end the run when the hand rests"):
         steadiness(whole, force, DEVICE)
     found = steadiness(whole, force, DEVICE, scored=len(moving))
     assert found.score == pytest.approx(steadiness(moving, FREE, DEVICE).score, abs=2.0)

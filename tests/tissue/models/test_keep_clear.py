@@ -114,7 +114,7 @@ def test_an_event_and_a_row_state_the_first_time_within_the_margin(tmp_path, run
     unbroken = found | {"first_breach_s": None, "least_distance_mm": 0.2}
     rows = dict(run_rows(closer.summary | {"keep_clear": {"canal": unbroken}}))
     assert rows["smallest distance to canal"] == (
-        f"0.2 mm, closer than the margin of 0.5 mm from {time_s:.3f} s"
+        f"0.200 mm, closer than the margin of 0.5 mm from {time_s:.3f} s"
     )
     assert "margin_mm" not in run.summary["keep_clear"]["canal"]
 

@@ -114,6 +114,8 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
         axes.set_ylabel(field_words(*names).replace(" / ", "\n/ "))
         if len(names) > 1:
             axes.legend(ncols=2, loc="best", fontsize=8)
+        elif unseen := _unseen_extremes(run, names[0], rows):
+            axes.set_title(unseen, loc="right", fontsize=8)
     _shade(run, panels, depth, rows, size)
     plain(panels)
     panels[-1].set_xlim(depth[0], depth[-1])
@@ -126,6 +128,27 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
     legend_above(panels[0], 2)
     save(chart, path)
     return None
+
+
+def _unseen_extremes(run: Run, name: str, rows: Ints) -> str:
+    """Return a text with the extremes of a column that lie outside the range of the drawn rows.
+
+    Rows of the trace before the first drawn row do not count.
+    """
+    values = run.trace[name][rows[0] :]
+    shown = run.trace[name][rows]
+    unit = field_label(name)[1]
+    # 1 % of the range cannot be seen in the picture
+    slack = 0.01 * np.ptp(values)
+    found = []
+    for word, row, is_outside in (
+        ("largest", int(values.argmax()), values.max() > shown.max() + slack),
+        ("smallest", int(values.argmin()), values.min() < shown.min() - slack),
+    ):
+        if is_outside:
+            time_s = run.trace["time_s"][rows[0] + row]
+            found.append(f"{word} in the run: {values[row]:.3g} {unit} at {time_s:.3g} s")
+    return ", ".join(found)
 
 
 def _shade(run: Run, panels: NDArray[np.object_], depth: Array, rows: Ints, force: Array) -> None:

@@ -119,7 +119,7 @@ def _distance_text(kept: Summary) -> str:
     """Return a text with the breach of a structure, or the smallest distance and the margin."""
     if (breach_s := kept.get("first_breach_s")) is not None:
         return f"breached, {kept['breach_depth_mm']:.2g} mm deep, first at {breach_s:.3f} s"
-    distance = f"{kept['least_distance_mm']:.3g} mm"
+    distance = f"{kept['least_distance_mm']:.3f} mm"
     if "margin_mm" not in kept:
         return distance
     if (first_s := kept["first_below_margin_s"]) is None:
