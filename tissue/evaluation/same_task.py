@@ -20,10 +20,13 @@ TASK = ("anatomy", "keep_clear", "organ", "cutting", "tool")
 
 Correct forces and depths of the tool depend on these parts.
 """
-NUMERICAL = frozenset(
+MAY_DIFFER = frozenset(
     f"organ.{name}" for name in ("law_interval_ms", "order", "path", "basis_size", "interval_ms")
-)
-"""Numerical keys in the scene parts of `TASK`, which may differ between runs of one task."""
+) | {"keep_clear.margin_mm"}
+"""Keys in the scene parts of `TASK` that may differ between runs of one task, with a note.
+
+The keys of the organ are numerical. The margin only triggers an event.
+"""
 FREE = ("name", "description", "seed", "device", "output", "fidelity")
 """Scene keys that may differ between a trainee's run and the reference run without a note.
 
@@ -77,7 +80,7 @@ def require_same_task(trainee: AssessedRun, reference: AssessedRun) -> None:
         differences += [
             (key, shown(mine), shown(theirs))
             for key, mine, theirs in _differences(trainee.scene, reference.scene)
-            if key.partition(".")[0] in TASK and key not in NUMERICAL
+            if key.partition(".")[0] in TASK and key not in MAY_DIFFER
         ]
         differences += _different_constants(trainee, reference)
     if differences:
@@ -142,7 +145,7 @@ def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]
         return
     for key, mine, theirs in _differences(trainee, reference):
         part = key.partition(".")[0]
-        if part not in FREE and part != "materials" and (part not in TASK or key in NUMERICAL):
+        if part not in FREE and part != "materials" and (part not in TASK or key in MAY_DIFFER):
             yield f"the scenes differ in {key}: trainee {shown(mine)}, reference {shown(theirs)}"
 
 
