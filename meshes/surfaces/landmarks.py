@@ -351,7 +351,8 @@ def _search_head(surface: Surface, kind: _Head) -> FoundSite:
     note = (
         f"found by search: {kind.name} of radius {1e3 * best.radius:.1f} mm over "
         f"{best.coverage:.0%} of its sphere, "
-        f"{1e3 * best.misfit:.2f} mm off it, score {scores[0]:.2f} of 1; check it in the picture"
+        f"RMS distance from the sphere {1e3 * best.misfit:.2f} mm, score {scores[0]:.2f} of 1; "
+        "check it in the picture"
     )
     site = site_along(surface, best.centre + best.radius * axis, axis, note)
     if second is None:

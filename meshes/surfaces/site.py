@@ -19,7 +19,7 @@ FACE_SAMPLES = 40_000
 
 On a scapula, the samples are 0.5 mm apart.
 """
-_FARTHEST_M = 10e-3
+FARTHEST_M = 10e-3
 """Largest distance [m] of a given site centre from the surface.
 
 A larger distance indicates that the centre is given in another frame or unit.
@@ -332,7 +332,7 @@ def _on_surface(surface: Surface, centre: Array, rotation: Array) -> Array:
     """
     leaving = exits(surface, centre, rotation)
     nearest = float(leaving[np.argmin(np.abs(leaving))]) if len(leaving) else np.inf
-    if abs(nearest) > _FARTHEST_M:
+    if abs(nearest) > FARTHEST_M:
         given, corner = (
             in_brackets(1e3 * point, ".4g") for point in (centre, corner_near(surface, centre))
         )

@@ -27,9 +27,10 @@ def chart(
     Parameters
     ----------
     what
-        Names of built-in scenes (default all): draw tick time and force error of each scene for
-        many settings. `prediction` and names of scenes (default palpation, wall and milling): draw
-        the errors of all force predictors in runs that were not used for training.
+        Names of scenes or TOML files (default all built-in scenes): draw tick time and force error
+        of each scene for many settings. `prediction` and scenes (default palpation, wall and
+        milling): draw the errors of all force predictors, each with its guard, in runs that were
+        not used for training.
     out
         Output folder; default charts or charts/prediction.
     quick

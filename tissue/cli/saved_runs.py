@@ -130,6 +130,8 @@ def report(
     out: Path | None = None,
     against: Path | None = None,
     force_limit_n: Annotated[float | None, Parameter(name="--force-limit-N")] = None,
+    deviation_limit_mm: float | None = None,
+    overshoot_limit_mm: float | None = None,
     overwrite: Flag = False,
 ) -> None:
     """Write a report on a run as one HTML file, which needs no network.
@@ -146,21 +148,30 @@ def report(
     force_limit_n
         With --against: force that should not be exceeded, in newtons; default 1.25 times the peak
         force of the reference run.
+    deviation_limit_mm
+        With --against: distance from the path of the reference run that should not be exceeded, in
+        mm; default 1.
+    overshoot_limit_mm
+        With --against: largest allowed distance of the tip below the deepest point of the reference
+        run, in mm; default 0.5.
     overwrite
         Replace an existing file.
     """
     from tissue.objects.run import report as write
 
+    limits = {
+        "force_limit_N": force_limit_n,
+        "deviation_limit_mm": deviation_limit_mm,
+        "overshoot_limit_mm": overshoot_limit_mm,
+    }
     if against is None:
-        left_out(
-            "without --against", "give --against DIR, or remove it", force_limit_N=force_limit_n
-        )
+        left_out("without --against", "give --against DIR, or remove it", **limits)
     with progress() as shown:
         written = write(
             folder,
             out,
             against=against,
-            force_limit_N=force_limit_n,
+            **limits,
             overwrite=overwrite,
             progress=shown,
         )

@@ -99,7 +99,7 @@ def run(
     """
     from tissue.evaluation.study.folder import StudyFolder, run_study
     from tissue.evaluation.study.plan import TrialKey
-    from tissue.evaluation.study.trial import run_trial
+    from tissue.evaluation.study.trial import failures_of, run_trial
 
     plan = options.plan()
     if only is not None:
@@ -142,13 +142,16 @@ def run(
     kept = list(folder.trials())
     failed = sum(trial.failed for trial in kept)
     console.print(f"{counted(len(kept), 'trial')} in {out}, {failed} with a failure")
+    for what, names in list(failures_of(kept).items())[:1]:
+        console.print(f"first failure: {what} ({names[0]})")
     for task in plan.tasks:
         took = sorted(trial.took_s for trial in kept if trial.key.task == task)
         console.print(
             f"{task}: {took[len(took) // 2]:.1f} s a trial of "
             f"{counted(len(plan.methods), 'method')}"
         )
-    console.print(f"next: tissue study report {out}")
+    if any("failure" not in row for trial in kept for row in trial.rows):
+        console.print(f"next: tissue study report {out}")
 
 
 @study.command(name="plan")

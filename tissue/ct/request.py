@@ -31,7 +31,7 @@ from meshes.images.reading import Spacing, read_image
 from meshes.paths.toolpath import PathDepth, ReplayTable, depth_along, read_toolpath, to_replay
 from meshes.surfaces.landmarks import find_site
 from meshes.surfaces.markups import TO_LPS, read_site
-from meshes.surfaces.site import Site, corner_near, place_site
+from meshes.surfaces.site import FARTHEST_M, Site, corner_near, place_site
 from meshes.surfaces.surface import Surface, surface_from_triangles
 from meshes.surfaces.triangle_files import SURFACE_SUFFIXES
 
@@ -361,13 +361,17 @@ def _at_point(
     except InputError as error:
         if error.argument != "anatomy.centre_mm":
             raise
-        raise InputError(
-            "site",
-            error.requirement,
-            f"{request.shown(centre)} in {request.source.name}",
-            f"give a point on the face, in mm; the nearest corner is "
-            f"{request.shown(corner_near(surface, centre))}",
-        ) from None
+        remedy = (
+            "give a point on the face, in mm; the nearest corner is "
+            f"{request.shown(corner_near(surface, centre))}"
+        )
+        # RAS and LPS have opposite signs of x and y.
+        flipped = centre * [-1.0, -1.0, 1.0]
+        if np.linalg.norm(corner_near(surface, flipped) - flipped) < FARTHEST_M:
+            other = "RAS" if request.coordinates == "LPS" else "LPS"
+            remedy = f"give --coordinates {other} if the point is in {other}, or {remedy}"
+        given = f"{request.shown(centre)} in {request.source.name}"
+        raise InputError("site", error.requirement, given, remedy) from None
     sentence = f"site: {site.confidence}"
     moved = f"{1e3 * np.linalg.norm(site.centre_m - centre):.1f}"
     if moved != "0.0":

@@ -177,11 +177,11 @@ class Assessment:
     @property
     def breached(self) -> tuple[str, ...]:
         """Names of the protected structures that the trainee's tool breached."""
-        return tuple(
-            name
-            for name, each in self.figures["keep_clear"].items()
-            if each.get("first_breach_s") is not None
-        )
+        return _breached(self.figures["keep_clear"])
+
+    def intervals_over(self, quantity: Quantity) -> int:
+        """Return the number of time spans in which a quantity was above its limit."""
+        return sum(breach.what == quantity.what for breach in self.breaches)
 
 
 def assess(
@@ -242,11 +242,13 @@ def assess(
     ideal_force = np.linalg.norm(ideal_forces, axis=1)
     peak = float(ideal_force.max())
     deepest = float(ideal_depth.max())
+    if force_limit_N is None and peak == 0.0:
+        raise InputError(
+            "the force of the reference run is zero, so the default limit of the force is zero. "
+            "Use a reference that touches the tissue, or give --force-limit-N"
+        )
     limit = FORCE_MARGIN * peak if force_limit_N is None else force_limit_N
-    # a reference without a force would give a default limit of zero
-    require_positive(
-        "force_limit_N", limit, "use a reference that touches the tissue, or give --force-limit-N"
-    )
+    require_positive("force_limit_N", limit, "use a value such as 30, or leave it out")
     require_positive("deviation_limit_mm", deviation_limit_mm, "use a value such as 1")
     require_positive("overshoot_limit_mm", overshoot_limit_mm, "use a value such as 0.5")
     if not force.any():
@@ -387,7 +389,17 @@ def _drilling_ticks(scene: Scene, trace: Table) -> int:
     return int(reached[0]) if len(reached) else len(trace.rows)
 
 
-def _keep_clear(summary: Summary, trace: Table) -> dict[str, dict[str, float | None]]:
+def breached_structures(run: AssessedRun) -> tuple[str, ...]:
+    """Return the names of the protected structures that the tool of a run breached."""
+    return _breached(_keep_clear(run.summary, run.trace))
+
+
+def _breached(kept: Mapping[str, Mapping[str, float | None]]) -> tuple[str, ...]:
+    """Return the names of the structures with a breach."""
+    return tuple(name for name, each in kept.items() if each.get("first_breach_s") is not None)
+
+
+def _keep_clear(summary: Summary, trace: Table | None) -> dict[str, dict[str, float | None]]:
     """Return the smallest tool distance and the breach, if any, for each protected structure.
 
     For a run that was stopped early, the values are computed from the distances in the trace,
@@ -395,7 +407,9 @@ def _keep_clear(summary: Summary, trace: Table) -> dict[str, dict[str, float | N
     """
     if "keep_clear" in summary:
         return dict(summary["keep_clear"])
-    found = {}
+    found: dict[str, dict[str, float | None]] = {}
+    if trace is None:
+        return found
     for column in trace.columns:
         if not column.startswith("distance_"):
             continue

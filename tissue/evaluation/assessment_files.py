@@ -7,6 +7,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from meshes.base.errors import counted
 from meshes.base.whole_file import write_text
 from tissue.evaluation.assessment import Assessment, assess
 from tissue.evaluation.same_task import AssessedRun
@@ -39,8 +40,9 @@ def assessment_lines(found: Assessment) -> list[str]:
             f"{apart['worst_at_s']:.3f} s"
         ),
         f"depth: {figures['overshoot_mm']:.2f} mm beyond the reference's deepest point",
-        f"force: peak {peak['trainee']:.3g} N against {peak['reference']:.3g}, "
-        f"{100.0 * figures['force_error']:.0f} % from the reference's at the same place",
+        f"force: peak {peak['trainee']:.3g} N against {peak['reference']:.3g}; the RMS difference "
+        f"from the reference at the same place is {100.0 * figures['force_error']:.0f} % of the "
+        "reference's RMS force",
         *(
             [
                 f"removed: {removed['trainee']:.3g} mm3 against {removed['reference']:.3g}, "
@@ -51,22 +53,28 @@ def assessment_lines(found: Assessment) -> list[str]:
         ),
         f"time from first to last contact: {time['trainee']:.2f} s against {time['reference']:.2f}",
         *(
-            f"least distance to {name}: {each['trainee']:.2f} mm against {each['reference']:.2f}"
+            f"least distance to {name}: {each['trainee']:.3f} mm against {each['reference']:.3f}"
             for name, each in figures["least_distance_mm"].items()
         ),
-        (
-            f"limits: force {found.force.limit:.3g} N, distance from the path "
-            f"{found.deviation.limit:.3g} mm, depth {found.depth.limit:.3g} mm"
-        ),
+        limits_line(found),
         *_structure_lines(found),
         *(f"limit exceeded: {each.sentence}" for each in found.breaches[:MOST_BREACHES]),
-        *([f"limits were exceeded {more} more times"] if more > 0 else []),
+        *([f"{counted(more, 'more interval')} over a limit"] if more > 0 else []),
         *(f"at {at:.3f} s, and not in the reference: {what}" for at, what in found.events),
         *(f"only in the reference, at {at:.3f} s: {what}" for at, what in found.missing),
         *([] if found.breaches or found.breached else ["no limit was exceeded"]),
         *(f"the {who} was cut short" for who, whole in figures["complete"].items() if not whole),
         *(f"note: {note}" for note in found.notes),
     ]
+
+
+def limits_line(found: Assessment) -> str:
+    """Return a line with the limits of an assessment."""
+    return (
+        f"limits: force {found.force.limit:.3g} N, distance from the path "
+        f"{found.deviation.limit:.3g} mm, depth {found.depth.limit:.3g} mm from the first contact "
+        "of the reference"
+    )
 
 
 def _structure_lines(found: Assessment) -> list[str]:
@@ -80,9 +88,8 @@ def _structure_lines(found: Assessment) -> list[str]:
 
 
 def _mistakes(found: Assessment) -> str:
-    """Return a text that counts exceeded limits and breaches, such as "2 times over a limit"."""
-    times = len(found.breaches)
-    limits = "1 time over a limit" if times == 1 else f"{times} times over a limit"
+    """Return the number of intervals over a limit, and the breached structures, in words."""
+    limits = f"{counted(len(found.breaches), 'interval')} over a limit"
     return f"{limits}, {' and '.join(found.breached)} breached" if found.breached else limits
 
 
@@ -95,10 +102,13 @@ def _score_line(hand: Steadiness) -> str:
 
 
 def assessed_section(
-    trainee: AssessedRun, reference: AssessedRun, *, force_limit_N: float | None = None
+    trainee: AssessedRun, reference: AssessedRun, **limits: float
 ) -> tuple[list[str], bytes]:
-    """Assess a run; return the lines of text and the picture (PNG) for a report."""
-    found = assess(trainee, reference, force_limit_N=force_limit_N)
+    """Assess a run; return the lines of text and the picture (PNG) for a report.
+
+    See `assess` for the `limits`.
+    """
+    found = assess(trainee, reference, **limits)
     with TemporaryDirectory() as folder:
         picture = Path(folder) / FILES[1]
         draw_assessment(found, picture)

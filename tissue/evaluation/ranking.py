@@ -1,6 +1,6 @@
 """Ranking of trainees by breached structures and scores of their runs."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +11,13 @@ from meshes.base.arrays import Array
 from meshes.base.errors import InputError, counted
 from meshes.base.text_tables import natural_order
 from meshes.base.whole_file import write_rows
-from tissue.evaluation.assessment import Assessment, NoSharedContactError, assess
+from tissue.evaluation.assessment import (
+    Assessment,
+    NoSharedContactError,
+    assess,
+    breached_structures,
+)
+from tissue.evaluation.assessment_files import limits_line
 from tissue.evaluation.same_task import AssessedRun, OtherTaskError, coupling_notes
 from tissue.evaluation.statistics.intervals import mean_interval
 from tissue.evaluation.steadiness import SCALE, Steadiness
@@ -24,6 +30,8 @@ if TYPE_CHECKING:
 FILES = ("ranking.csv", "ranking.png")
 LEAST_ATTEMPTS = 3
 """Smallest number of attempts for an interval from the spread of a trainee's scores."""
+UNFINISHED = "the path of the trainee is not finished"
+"""Beginning of the note of an assessment on an unfinished path."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = "os^DvPX"
 BREACHED = "#D55E00"
@@ -196,29 +204,31 @@ def rank(
         without_score = []
         for path in runs:
             run = load(path)
+            breached = ", ".join(breached_structures(run))
+            harm = f"breached {breached} and " if breached else ""
             try:
                 found = assess(run, reference, **limits)  # type: ignore[arg-type]
             except NoSharedContactError as problem:
-                left_out.append(f"{path} {problem.reason}")
+                left_out.append(f"{path} {harm}{problem.reason}")
                 continue
             except OtherTaskError as problem:
                 left_out.append(
-                    f"{path} is of another task than the reference: {problem.difference}. "
+                    f"{path} {harm}is of another task than the reference: {problem.difference}. "
                     "Run the scene of the reference"
                 )
                 continue
             except InputError as refusal:
                 raise InputError(f"{path}: {refusal}") from refusal
             if found.steadiness is None:
-                breached = ", ".join(found.breached)
-                harm = f"breached {breached} and " if breached else ""
                 left_out.append(f"{path} {harm}has no score: {found.unscored}")
                 without_score.append(Attempt(path.name, found))
                 continue
             name = path.relative_to(folder).as_posix()
             first = first or (run, name)
             for note in (*found.notes, *(() if device else coupling_notes(run, *first))):
-                notes.setdefault(note, []).append(name)
+                # Each run stops at another depth, so the note of all runs leaves the depth out.
+                shared = UNFINISHED if note.startswith(UNFINISHED) else note
+                notes.setdefault(shared, []).append(name)
             attempts.append(Attempt(path.name, found))
         if attempts:
             people.append(Person(person.name, tuple(attempts)))
@@ -266,10 +276,16 @@ def ranking_lines(found: Ranking) -> list[str]:
         lines.append(line)
         for name in structures:
             distances = ", ".join(
-                f"{each.least_mm(name):.2f} mm" + " (breached)" * (name in each.found.breached)
+                f"{each.least_mm(name):.3f} mm" + " (breached)" * (name in each.found.breached)
                 for each in person.attempts
             )
             lines.append(f"   least distance to {name}: {distances}")
+    lines += _limit_lines(found)
+    if len(found.people) > 1 and all(one.name.startswith("attempt") for one in found.people):
+        lines.append(
+            "hint: every folder counts as a trainee. If these folders are the attempts of one "
+            "trainee, give the folder that contains the trainee's folder"
+        )
     for note, noted in found.notes.items():
         lines.append(f"note: {note}")
         by_trainee: dict[str, list[str]] = {}
@@ -277,6 +293,27 @@ def ranking_lines(found: Ranking) -> list[str]:
             by_trainee.setdefault(run.partition("/")[0], []).append(run)
         lines += [f"   {', '.join(each)}" for each in by_trainee.values()]
     return lines + [f"left out: {each}" for each in found.left_out]
+
+
+def _limit_lines(found: Ranking) -> list[str]:
+    """Return the limits in words, and the trainees who exceeded each limit."""
+    by_trainee: dict[str, list[Assessment]] = {}
+    for person in (*found.people, *found.unscored):
+        assessed = [attempt.found for attempt in person.attempts]
+        by_trainee.setdefault(person.name, []).extend(assessed)
+    # All runs have the limits of the same reference run.
+    some = next(iter(by_trainee.values()))[0]
+    lines = [limits_line(some)]
+    for quantity in (some.force, some.deviation, some.depth):
+        names = []
+        for name, assessed in by_trainee.items():
+            over = sum(each.intervals_over(quantity) > 0 for each in assessed)
+            share = f" ({over} of {len(assessed)} attempts)" if len(assessed) > 1 else ""
+            if over:
+                names.append(name + share)
+        if names:
+            lines.append(f"   {quantity.what} over the limit: {', '.join(names)}")
+    return lines
 
 
 def write_ranking(found: Ranking, folder: Path, *, overwrite: bool) -> list[Path]:
@@ -311,7 +348,7 @@ def _row(found: Ranking, place: int | None, person: Person, attempt: Attempt) ->
     """
     hand = attempt.found.steadiness
     figures = attempt.found.figures
-    row = {
+    row: dict[str, object] = {
         "rank": place,
         "trainee": person.name,
         "attempt": attempt.name,
@@ -324,8 +361,11 @@ def _row(found: Ranking, place: int | None, person: Person, attempt: Attempt) ->
         "peak_force_N": round(figures["peak_force_N"]["trainee"], 4),
         "force_error": round(figures["force_error"], 4),
         "removed_mm3": round(figures["removed_mm3"]["trainee"], 4),
-        "limits_exceeded": len({breach.what for breach in attempt.found.breaches}),
     }
+    one = attempt.found
+    for name, each in (("force", one.force), ("deviation", one.deviation), ("depth", one.depth)):
+        row[f"{name}_limit_{each.unit}"] = round(each.limit, 4)
+        row[f"intervals_over_{name}_limit"] = one.intervals_over(each)
     least = {
         f"least_distance_{name}_mm": round(attempt.least_mm(name), 4) for name in found.structures
     }
@@ -339,8 +379,9 @@ def _draw(found: Ranking, path: Path) -> None:
     structures = found.structures
     most = max(len(person.attempts) for person in people)
     count = 1 + bool(structures) + (most > 1)
-    # inches: a row for each trainee, and space for title and axis
-    chart = figure(2.0 + 4.0 * count, max(2.6, 1.3 + INCH_PER_ROW * len(people)))
+    # inches: a row for each trainee, and space for title and axis; the title is 6.5 inches wide
+    width = max(7.0, 2.0 + 4.0 * count)
+    chart = figure(width, max(2.8, 1.5 + INCH_PER_ROW * len(people)))
     chart.set_layout_engine("constrained")
     panels = chart.subplots(1, count, squeeze=False)[0]
     _draw_scores(people, panels[0])
@@ -356,7 +397,7 @@ def _draw(found: Ranking, path: Path) -> None:
     chart.suptitle(
         f"{found.scene}: steadiness of the hand, mean with 95 % interval\ninterval from the "
         f"spread of {LEAST_ATTEMPTS} or more attempts; with fewer attempts, from the intervals of "
-        "the runs",
+        f"the runs\n{limits_line(people[0].attempts[0].found)}",
         size=9,
     )
     save(chart, path)
@@ -370,19 +411,21 @@ def _look(place: int) -> tuple[str, str]:
     return COLOURS[place % len(COLOURS)], MARKERS[place // len(COLOURS) % len(MARKERS)]
 
 
-def _draw_scores(people: Iterable[Person], axes: "Axes") -> None:
-    """Draw the mean score of each trainee with its interval, and the score of each run."""
+def _draw_scores(people: Sequence[Person], axes: "Axes") -> None:
+    """Draw the mean score of each trainee with its interval, and the scores of attempts."""
     for place, person in enumerate(people):
         colour, marker = _look(place)
         axes.plot(person.interval, [place, place], color=colour, linewidth=2)
         axes.plot(person.mean, place, marker, color=colour)
-        axes.plot(person.scores, [place] * len(person.scores), "|", color=colour)
+        if len(person.attempts) > 1:
+            axes.plot(person.scores, [place] * len(person.scores), "x", color=colour)
     for value, name in ((0.0, "a novice"), (100.0, "an expert")):
         axes.axvline(value, color="0.6", linestyle=":")
         axes.annotate(
             name, (value, 1.0), xycoords=("data", "axes fraction"), ha="center", va="bottom"
         )
-    axes.set_xlabel("score")
+    is_single = all(len(person.attempts) == 1 for person in people)
+    axes.set_xlabel("score" if is_single else "score (x: one attempt)")
 
 
 def _draw_distances(found: Ranking, axes: "Axes") -> None:

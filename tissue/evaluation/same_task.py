@@ -20,20 +20,25 @@ TASK = ("anatomy", "keep_clear", "organ", "cutting", "tool")
 
 Correct forces and depths of the tool depend on these parts.
 """
-NUMERICAL = frozenset(
+MAY_DIFFER = frozenset(
     f"organ.{name}" for name in ("law_interval_ms", "order", "path", "basis_size")
-)
-"""Numerical keys in the scene parts of `TASK`, which may differ between runs of one task."""
+) | {"keep_clear.margin_mm"}
+"""Keys in the scene parts of `TASK` that may differ between runs of one task, with a note.
+
+The keys of the organ are numerical. The margin only triggers an event.
+"""
 FREE = ("name", "description", "seed", "device", "output", "fidelity")
 """Scene keys that may differ between a trainee's run and the reference run without a note.
 
 These keys describe the run, the user who moves the tool, and the device. Differences of the
 coupling are reported by `coupling_notes`.
 """
-OPERATOR = ("hands", "devices")
-"""Tables of constants, of user and device, that may differ between runs of the same task.
+FREE_TABLES = ("hands", "devices", "tooth")
+"""Tables of constants that may differ between runs of the same task.
 
-All other constants that the tissue and the tool of the run use must be equal.
+These are the constants of the user, the device, and the computations of stress and heat, which do
+not change the force on the tool. All other constants that the tissue and the tool of the run use
+must be equal.
 """
 
 
@@ -75,7 +80,7 @@ def require_same_task(trainee: AssessedRun, reference: AssessedRun) -> None:
         differences += [
             (key, shown(mine), shown(theirs))
             for key, mine, theirs in _differences(trainee.scene, reference.scene)
-            if key.partition(".")[0] in TASK and key not in NUMERICAL
+            if key.partition(".")[0] in TASK and key not in MAY_DIFFER
         ]
         differences += _different_constants(trainee, reference)
     if differences:
@@ -101,7 +106,7 @@ def _task_constants(run: AssessedRun) -> dict[str, float]:
     return {
         each.full: each.cited.value
         for each in used_constants(without_fields(run.scene), run.summary.get("layers", ()))
-        if each.stated is None and each.full.partition(".")[0] not in OPERATOR
+        if each.stated is None and each.full.partition(".")[0] not in FREE_TABLES
     }
 
 
@@ -140,7 +145,7 @@ def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]
         return
     for key, mine, theirs in _differences(trainee, reference):
         part = key.partition(".")[0]
-        if part not in FREE and part != "materials" and (part not in TASK or key in NUMERICAL):
+        if part not in FREE and part != "materials" and (part not in TASK or key in MAY_DIFFER):
             yield f"the scenes differ in {key}: trainee {shown(mine)}, reference {shown(theirs)}"
 
 

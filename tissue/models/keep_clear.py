@@ -118,8 +118,8 @@ class KeepClear:
 
     Attributes
     ----------
-    distances
-        Value of the parameter `distances`.
+    structures, distances
+        Values of the parameters.
     names
         Names of the trace columns: ``distance_NAME_mm`` for the structure with the name NAME.
     measures
@@ -144,6 +144,7 @@ class KeepClear:
     ) -> None:
         self._times_s = times_s
         self._margin_m = margin_m
+        self.structures = dict(structures)
         self.distances = dict(distances or {})
         self.names = tuple(f"distance_{name}_mm" for name in structures)
         self.measures = np.zeros(len(structures))

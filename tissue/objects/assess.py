@@ -55,6 +55,7 @@ def assess(
         trainee's run or the reference run touches the tissue.
     overshoot_limit_mm
         Largest allowed distance of the tip below the deepest point of the reference run [mm].
+        Depths are measured from the first contact of the reference run.
 
     Raises
     ------

@@ -334,6 +334,7 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
         At least two runs, or folders of runs.
     names
         Names of the runs; default the names of the runs' folders, or of the scenes without folders.
+        If the parent folders differ, the names contain them.
 
     Raises
     ------
@@ -455,12 +456,14 @@ def _stated(key: str, value: object, keys: Iterable[str]) -> str:
 def _names(runs: list[Run]) -> list[str]:
     """Return names for runs, taken from their folders or scenes; equal names are numbered.
 
-    If all runs are in different folders, the names are the parts of the folders' paths that differ.
+    If all runs are in different folders, a name has the parent folder and the folder of the run,
+    and further folders above them if these names are equal. Parts that all runs share are left out.
     """
     plain = [run.scene.name if run.path is None else run.path.resolve().name for run in runs]
     folders = [run.path.resolve().parts for run in runs if run.path is not None]
     if len(folders) == len(runs) == len(set(folders)):
-        size = 1
+        # Attempts of different trainees may have different names.
+        size = 2
         while len({parts[-size:] for parts in folders}) < len(runs):
             size += 1
         ends = [parts[-size:] for parts in folders]

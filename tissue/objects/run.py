@@ -448,6 +448,8 @@ def report(
     *,
     against: "Run | str | Path | None" = None,
     force_limit_N: float | None = None,
+    deviation_limit_mm: float | None = None,
+    overshoot_limit_mm: float | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Path:
@@ -465,8 +467,9 @@ def report(
     against
         Reference run, or its folder. If it is given, the report also contains the comparison by
         `tissue.assess` with this reference run.
-    force_limit_N
-        With `against`: limit of the force on the tool [N], see `tissue.assess`.
+    force_limit_N, deviation_limit_mm, overshoot_limit_mm
+        With `against`: limits of force [N], distance from the path [mm] and depth [mm]. Meaning and
+        defaults are those of `tissue.assess`.
     overwrite
         Whether to replace an existing file.
     progress
@@ -487,17 +490,22 @@ def report(
     from tissue.show.report.report import NAME, write_report
 
     found = None
+    limits = {
+        "force_limit_N": force_limit_N,
+        "deviation_limit_mm": deviation_limit_mm,
+        "overshoot_limit_mm": overshoot_limit_mm,
+    }
+    given = {name: value for name, value in limits.items() if value is not None}
     if against is not None:
-        found = assessed_section(
-            assessed_run(run), assessed_run(against), force_limit_N=force_limit_N
-        )
-    elif force_limit_N is not None:
-        raise InputError(
-            "force_limit_N",
-            "be left out without a reference run",
-            f"{force_limit_N:g}",
-            "give against, or remove force_limit_N",
-        )
+        found = assessed_section(assessed_run(run), assessed_run(against), **given)
+    else:
+        for name, value in given.items():
+            raise InputError(
+                name,
+                "be left out without a reference run",
+                f"{value:g}",
+                f"give against, or remove {name}",
+            )
     if isinstance(run, Run):
         if out is None:
             if run.path is None:

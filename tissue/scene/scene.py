@@ -234,10 +234,9 @@ class Scene(Part):
     seed: int = Field(0, ge=0, lt=2**63)
     """Seed of all random draws."""
     duration_s: float | None = Field(None, ge=1e-3, le=3600, examples=[5.0])
-    """Simulated time. Default: the duration of the motion. If a simulated hand moves the tool and
-    the time reaches the end of the motion, the run is longer: 0.73 s (expert), 0.82 s
-    (intermediate) or 0.9 s (novice) are added, in which the hand reacts and comes to rest. A
-    shorter time is not changed.
+    """Simulated time. Default: the duration of the motion. If a simulated hand moves the tool, it
+    needs more time to react and to come to rest: 0.73 s (expert), 0.82 s (intermediate) or 0.9 s
+    (novice). This time is added, unless `duration_s` ends the run before the end of the motion.
     """
     anatomy: AnyAnatomy
     """Anatomy on which the tool acts."""

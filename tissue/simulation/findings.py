@@ -17,7 +17,7 @@ from tissue.motion.motion import Events, Motion, frame_along
 from tissue.scene.anatomy import Bone, MolarAnatomy, Tooth
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.scene import Scene
-from tissue.scene.tool import PathMotion, ThrustMotion, Tool
+from tissue.scene.tool import PathMotion, ReplayMotion, ThrustMotion, Tool
 from tissue.simulation.bone_surface import tool_axes
 from tissue.simulation.builders.force_met import chosen_scale, force_met
 from tissue.simulation.builders.parts import Parts
@@ -41,6 +41,12 @@ FAR_RADII = 2.0
 The unit is the radius of the tool. With small force scales and a bur of 1 mm, the largest distances
 were 1.0 to 1.4 radii. They were measured with simulated hands, in the scene `molar` and in a
 scanned molar.
+"""
+STEADY_SCALE = 0.2
+"""Ratio of the suggested motion scale to that of a run whose tool left its path.
+
+In a scanned molar with a bur of 1 mm and a force scale of 0.02, a simulated expert left the path by
+0.64 mm with a motion scale of 1, and by 0.18 mm with 0.2.
 """
 RISING_S = 0.1
 """Time before the end of a run [s] in which a largest temperature counts as still rising.
@@ -144,14 +150,18 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
             )
     if parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
         return found
-    if isinstance(scene.motion, PathMotion) and isinstance(scene.tool, Tool):
-        steps_mm = np.diff(np.array(scene.motion.points_mm), axis=0)
-        length_mm = float(np.linalg.norm(steps_mm, axis=1).sum())
+    if isinstance(scene.motion, PathMotion | ReplayMotion) and isinstance(scene.tool, Tool):
+        points_mm = 1e3 * parts.motion.sweep_m()
+        check = "that the columns of motion.file have the units of their names"
+        if isinstance(scene.motion, PathMotion):
+            points_mm = np.array(scene.motion.points_mm)
+            check = "that motion.points_mm is in mm"
+        length_mm = float(np.linalg.norm(np.diff(points_mm, axis=0), axis=1).sum())
         # a path in metres is a thousand times shorter
         if 0.0 < length_mm < 0.01 * scene.tool.diameter_mm:
             found["length of the path"] = (
                 f"only {length_mm:.3g} mm, which is less than 1 % of the tool's diameter; check "
-                "that motion.points_mm is in mm"
+                f"{check}"
             )
     if not np.any(parts.tissue.removed_m3):
         found["removed"] = (
@@ -170,10 +180,10 @@ def region_note(parts: Parts, trace: Table) -> dict[str, str]:
     axes = tool_axes(trace.quaternions())
     margin_mm = end.sufficient_margin_mm(1e-3 * trace.vectors("tool", "mm"), axes)
     return {
-        "simulated region": f"the tool left it at {end.left_s:.3f} s. Forces, removed volumes and "
-        "the distance from the path are not valid after this time. With voxels.margin_mm = "
-        f"{margin_mm:g}, the region contains the motion of this run. The hand then also feels the "
-        "tissue that is now missing, so it may move differently"
+        "simulated region": f"the tool left it at {end.left_s:.3f} s. Forces, temperatures, "
+        "removed volumes and the distance from the path are not valid after this time. With "
+        f"voxels.margin_mm = {margin_mm:g}, the region contains the motion of this run. The "
+        "hand then also feels the tissue that is now missing, so it may move differently"
     }
 
 
@@ -195,27 +205,60 @@ def path_distance_mm(scene: Scene, motion: Motion, trace: Table) -> dict[str, fl
 
 
 def path_note(scene: Scene, parts: Parts, apart_mm: dict[str, float] | None) -> dict[str, str]:
-    """Return a note that suggests a smaller force scale if a cutter in a hand left its path.
+    """Return a note that suggests smaller scales of the coupling if a hand left its path.
 
-    ``apart_mm`` is the result of `path_distance_mm`.
+    The note also appears if the tool came too close to a structure and the distance from the path
+    can be the reason. ``apart_mm`` is the result of `path_distance_mm`.
     """
     cutter = parts.cutter
     if apart_mm is None or cutter is None or cutter.spin_rad_s == 0.0:
         return {}
     radius_mm = 1e3 * cutter.profile.radius_m
-    if apart_mm["largest_in_contact"] <= FAR_RADII * radius_mm:
+    is_far = apart_mm["largest_in_contact"] > FAR_RADII * radius_mm
+    close_mm = _too_close_mm(parts, apart_mm["largest"])
+    if not is_far and not close_mm:
         return {}
+    note = f"the tool left the path by {apart_mm['largest']:.3g} mm"
+    for name, distance_mm in close_mm.items():
+        note += f". The smallest distance to {name} was {distance_mm:.3f} mm"
+    if is_far:
+        note += _force_scale_note(scene, apart_mm["largest"], radius_mm)
+    scale = scene.motion_scale
+    note += (
+        f". With a smaller coupling.motion_scale, such as {STEADY_SCALE * scale:g} instead of "
+        f"{scale:g}, the tool moves less than the hand and stays closer to the path"
+    )
+    return {"distance from the path": note}
+
+
+def _too_close_mm(parts: Parts, apart_mm: float) -> dict[str, float]:
+    """Return the smallest distances [mm] to structures that an error of the path can explain.
+
+    A structure is included if the tool breached it or its margin, and came too close by at most
+    ``apart_mm``, the largest distance from the path [mm].
+    """
+    found = {}
+    kept = {} if parts.keep_clear is None else parts.keep_clear.summary()
+    for name, each in kept.items():
+        least_mm = each["least_distance_mm"]
+        assert least_mm is not None
+        if 0.0 < (each.get("margin_mm") or 0.0) - least_mm <= apart_mm:
+            found[name] = least_mm
+    return found
+
+
+def _force_scale_note(scene: Scene, apart_mm: float, radius_mm: float) -> str:
+    """Return sentences that suggest a smaller force scale for a distance from the path [mm]."""
     scale = chosen_scale(scene).factor
     # The distance is the force at the device times the compliance of grip and coupling. Therefore
     # it is proportional to the scale. The largest distance of the whole run counts, because a
     # stretched grip drives the tool out of the tissue.
-    smaller = scale * radius_mm / apart_mm["largest"]
+    smaller = scale * radius_mm / apart_mm
     digits = -floor(log10(smaller))
     smaller = floor(smaller * 10.0**digits) / 10.0**digits
     note = (
-        f"the tool left the path by {apart_mm['largest']:.3g} mm. The force at the device deflects "
-        f"the grip of the simulated hand. Set coupling.force_scale = {smaller:g} instead of "
-        f"{scale:g}"
+        ". The force at the device deflects the grip of the simulated hand. "
+        f"Set coupling.force_scale = {smaller:g} instead of {scale:g}"
     )
     friction_N = device_parameters(scene.held.kind, scene.constants).friction_N
     felt_N = smaller * force_met(scene).force_N
@@ -224,7 +267,7 @@ def path_note(scene: Scene, parts: Parts, apart_mm: dict[str, float] | None) -> 
             f". The largest force at the device is then {felt_N:.2g} N. The friction of "
             f"{scene.held.kind}, {friction_N:g} N, hides this force: use another device"
         )
-    return {"distance from the path": note}
+    return note
 
 
 def largest_rise(trace: Table) -> dict[str, str | float | bool]:

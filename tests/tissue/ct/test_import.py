@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from ct_ball import CENTRE_MM, DENSE_HU, RADIUS_MM, SOFT_HU, ball, ball_mask
 from image_writers import write_dicom, write_nrrd
 from named_labels import write_named_labels
@@ -14,7 +15,9 @@ import tissue
 from meshes.base.errors import InputError
 from meshes.ct.labels import read_labels
 from meshes.images.reading import read_image
+from meshes.surfaces.surface import surface_from_triangles
 from tissue.ct.draft import scene_name
+from tissue.ct.request import ImportRequest, placed
 from tissue.materials.constants import cutting_coefficients
 
 TOP = tuple((CENTRE_MM + np.array([0.0, 0.0, RADIUS_MM])).tolist())
@@ -125,6 +128,20 @@ def test_the_nearest_corner_is_a_site_in_the_same_coordinates(reference, tmp_pat
         imported(image, tmp_path / "out", site=(9.0, 20.0, 15.0), coordinates="RAS")
     corner = tuple(map(float, str(refused.value).rsplit("(")[-1].split(")")[0].split(",")))
     assert imported(image, tmp_path / "out", site=corner, coordinates="RAS").has_site
+
+
+@pytest.mark.parametrize(("given", "other"), [("LPS", "RAS"), ("RAS", "LPS")])
+def test_a_site_in_the_other_coordinates_is_recognised(given, other):
+    """A ball at (60, 40, 0) mm in LPS; the site is stated with the signs of the other system."""
+    ball = trimesh.creation.icosphere(radius=10.0)
+    vertices = np.asarray(ball.vertices) + np.array([60.0, 40.0, 0.0])
+    surface = surface_from_triangles(vertices, np.asarray(ball.faces), scale_mm=1.0)
+    sign = 1.0 if given == "RAS" else -1.0
+    request = ImportRequest(
+        Path("ct.nrrd"), site=(sign * 60.0, sign * 40.0, 10.0), coordinates=given
+    )
+    with pytest.raises(InputError, match=f"Give --coordinates {other} if the point is in {other}"):
+        placed(request, surface)
 
 
 def test_the_corners_of_the_image_are_printed(reference):

@@ -234,6 +234,14 @@ def test_constants_that_the_task_does_not_use_may_differ(tmp_path, table, name):
     assert assess(trainee, reference).notes == ()
 
 
+def test_runs_with_and_without_heat_are_of_one_task(tmp_path):
+    """Neither temperatures nor the constants that only they need change the task."""
+    reference = of_scene(saved(tmp_path / "r", reach(1.0)), heat=True)
+    trainee = of_scene(saved(tmp_path / "t", reach(1.0)))
+    note = "the scenes differ in heat: trainee false, reference true"
+    assert assess(trainee, reference).notes == (note,)
+
+
 def test_a_note_names_scales_of_the_coupling_that_differ(tmp_path):
     reference = of_scene(saved(tmp_path / "r", reach(1.0)), device="touch")
     trainee = of_scene(
@@ -337,7 +345,7 @@ def test_a_run_that_breached_a_structure_is_never_ranked_above_one_that_did_not(
     )
     assert noted == ("steady",)
     lines = ranking_lines(found)
-    assert "   least distance to pulp: -0.07 mm (breached)" in lines
+    assert "   least distance to pulp: -0.070 mm (breached)" in lines
     assert lines[lines.index(f"note: {note}") + 1] == "   steady"
     write_ranking(found, tmp_path / "out", overwrite=False)
     header, *rows = (tmp_path / "out" / "ranking.csv").read_text().splitlines()
@@ -379,6 +387,76 @@ def test_constants_of_a_trainee_do_not_change_the_scale_of_the_score(tmp_path):
     trainee = scored(tmp_path, saved(tmp_path / "t", path), materials=file)
     own, cited = (assess(run, reference).steadiness for run in (trainee, reference))
     assert own.score == cited.score
+
+
+def test_the_margin_to_a_structure_is_no_part_of_the_task(tmp_path):
+    kept = {"keep_clear__names": ["nerve"]}
+    trainee = of_scene(saved(tmp_path / "t", reach(1.0)), **kept)
+    reference = of_scene(saved(tmp_path / "r", reach(1.0)), keep_clear__margin_mm=1.0, **kept)
+    (note,) = assess(trainee, reference).notes
+    assert note == "the scenes differ in keep_clear.margin_mm: trainee 0, reference 1"
+
+
+def test_breaches_of_runs_that_are_left_out_are_reported(tmp_path):
+    path = reach(1.5)
+    runs = {
+        "anna": clear(scored(tmp_path, saved(tmp_path / "people" / "anna", path)), 0.9),
+        "carl": clear(of_scene(saved(tmp_path / "people" / "carl", path)), -0.1),
+        "dora": saved(tmp_path / "people" / "dora", path + np.array([0.0, 0.0, 10.0])),
+    }
+    runs["carl"].scene = load_scene("milling", {"tool.diameter_mm": 5.0})
+    clear(runs["dora"], -0.2)
+    found = rank(tmp_path / "people", runs["anna"], lambda folder: runs[folder.name])
+    carl, dora = found.left_out
+    assert "carl breached pulp and is of another task" in carl
+    assert dora.endswith("dora breached pulp and touches nothing")
+
+
+def test_a_missing_limit_and_a_limit_of_zero_are_told_apart(tmp_path):
+    trainee = saved(tmp_path / "t", reach(1.0))
+    with pytest.raises(
+        InputError, match=r"force_limit_N must be positive and finite, got 0\.0\. Use"
+    ):
+        assess(trainee, trainee, force_limit_N=0.0)
+    reference = saved(tmp_path / "r", reach(1.0), force_scale=0.0)
+    with pytest.raises(InputError, match="the force of the reference run is zero"):
+        assess(trainee, reference)
+
+
+def test_a_ranking_names_the_limits_and_the_trainees_over_a_limit(tmp_path, monkeypatch):
+    """The second attempt of Anna is too deep, and no run finished its path."""
+    path = reach(1.5)
+    runs = {
+        "anna/attempt-1": shaken(path, 0.1),
+        "anna/attempt-2": shaken(reach(1.5, deeper_mm=1.5), 0.1),
+        "ben": shaken(path, 0.1),
+    }
+    people = tmp_path / "people"
+    loaded = {
+        people / name: scored(people / name, saved(people / name, each))
+        for name, each in runs.items()
+    }
+    for depth_mm, run in enumerate(loaded.values()):
+        run.summary["notes"] = {"path": f"not finished: the tip reached a depth of {depth_mm} mm"}
+    reference = scored(tmp_path / "r", saved(tmp_path / "r", path))
+    found = rank(people, reference, loaded.get)
+    lines = ranking_lines(found)
+    (limits,) = (line for line in lines if line.startswith("limits: force 12.5 N, distance"))
+    assert limits.endswith(" mm from the first contact of the reference")
+    assert "   depth over the limit: anna (1 of 2 attempts)" in lines
+    notes = [line for line in lines if "not finished" in line]
+    assert notes == ["note: the path of the trainee is not finished"]
+    assert not any(line.startswith("hint") for line in lines)
+    charts = []
+    monkeypatch.setattr(ranking, "save", lambda chart, path: charts.append(chart))
+    write_ranking(found, tmp_path / "out", overwrite=False)
+    (chart,) = charts
+    assert limits in chart.get_suptitle()
+    assert chart.axes[0].get_xlabel() == "score (x: one attempt)"
+    crosses = [line.get_xdata() for line in chart.axes[0].lines if line.get_marker() == "x"]
+    assert [len(each) for each in crosses] == [2]
+    attempts = ranking_lines(rank(people / "anna", reference, loaded.get))
+    assert any(line.startswith("hint: every folder counts as a trainee") for line in attempts)
 
 
 def test_a_breach_of_a_run_without_a_score_is_reported(tmp_path):
@@ -427,7 +505,7 @@ def test_least_distances_to_structures_of_both_runs_are_listed(tmp_path):
         runs.append(run)
     found = assess(*runs)
     assert found.figures["least_distance_mm"] == {"canal": {"trainee": 0.4, "reference": 1.5}}
-    assert "least distance to canal: 0.40 mm against 1.50" in assessment_lines(found)
+    assert "least distance to canal: 0.400 mm against 1.500" in assessment_lines(found)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import pytest
 
 from meshes.base.errors import InputError
 from tissue import register
+from tissue.cli.study import PlanOptions, run
 from tissue.evaluation.looks import METHOD_LOOKS, looks
 from tissue.evaluation.study import duration, registration
 from tissue.evaluation.study.duration import cost
@@ -144,3 +145,15 @@ def test_the_expected_time_grows_with_trials_and_falls_with_workers(monkeypatch)
     assert cost(plan, keys[:5]) < cost(plan, keys)
     pair = Plan(trials=2, methods=("penalty", "koopman"))
     assert cost(pair, keys) / cost(plan, keys) == pytest.approx(2.0 / len(METHODS))
+
+
+def test_a_study_without_a_successful_trial_prints_the_reason_and_no_next_step(
+    fading, tmp_path, capsys
+):
+    """The worker process does not run this file, so that it does not know the predictor."""
+    options = PlanOptions(trials=1, tasks=("T2",), groups=("expert",), methods=("penalty", fading))
+    run(options=options, workers=1, out=tmp_path / "study")
+    text = capsys.readouterr().out
+    assert "first failure: penalty: InputError: " in text
+    assert "got fading. Choose one of these (T2-expert-0000)" in text
+    assert "next:" not in text

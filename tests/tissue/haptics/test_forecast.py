@@ -5,6 +5,7 @@ Eigenvalues with a linearised predictor are compared with runs with the predicto
 
 from copy import deepcopy
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 import pytest
@@ -159,6 +160,22 @@ def test_hold_and_no_gain_change_nothing():
         assert critical_stiffness_N_m(loop) == pytest.approx(
             critical_stiffness_N_m(plain), rel=1e-9
         )
+
+
+@pytest.mark.parametrize("force_N", [0.0, 1.0])
+def test_a_constant_force_is_stable_on_every_wall(force_N):
+    class Constant(Hold):
+        def predict(self, ticks):
+            return np.array([0.0, 0.0, force_N])
+
+    constant = forecast_of(Constant(), lead_ticks=4, stiffness_N_m=400.0)
+    assert not constant.taps.any()
+    plain, _, _ = loop_with()
+    loops = [replace(plain, forecast=replace(constant, gain=gain)) for gain in (0.5, 1.0)]
+    half, whole = (critical_stiffness_N_m(loop) for loop in loops)
+    # a gain of 0.5 shows half of the present force
+    assert half == pytest.approx(2.0 * critical_stiffness_N_m(plain), rel=1e-9)
+    assert whole == inf
 
 
 def test_a_probed_predictor_has_the_taps_of_its_closed_form():

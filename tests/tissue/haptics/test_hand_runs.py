@@ -72,8 +72,8 @@ def test_paths_and_forces_are_scaled_by_a_stated_law():
     moved = np.diff(trace.vectors("device", "mm"), axis=0)
     assert abs(trace["passivity_J"][-1]) < 1e-3 * played_N(run).max() * np.abs(moved).sum()
     assert (
-        "2.5 m at the tool for each metre at the device: a stiffness at the tool is felt as 1 of it"
-        in str(run.parts.notes["coupling"])
+        "2.5 m at the tool for each metre at the device; at the device, stiffness is 1 times and "
+        "torque 0.16 times the value at the tool" in str(run.parts.notes["coupling"])
     )
 
 

@@ -1,5 +1,7 @@
 """Bone with a temperature: trace, summary, thermal dose and events."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -80,6 +82,15 @@ def test_a_rise_at_the_end_is_marked(runs, rises_K, rising):
     assert (found["tissue"], found["rising_at_end"]) == ("pulp", rising)
     row = dict(run_rows(runs[0].summary | {"largest_rise": found}))
     assert row["largest temperature rise of the pulp"].endswith("at the end") == rising
+
+
+def test_the_limit_of_the_pulp_is_reported_once():
+    coarse = {"voxels.spacing_mm": 0.25, "stress": None, "heat": True, "duration_s": 0.01}
+    tooth = simulate(load_scene("molar", coarse)).parts.tissue
+    tooth.notices.clear()
+    for rise_K in (5.4, 5.6, 5.4, 5.6, 4.0, 6.0):
+        tooth._see_pulp(SimpleNamespace(pulp_rise_K=rise_K))
+    assert tooth.notices == ["the pulp is 5.5 K warmer than at the start"]
 
 
 def test_bone_uses_the_thermal_constants_of_bone():

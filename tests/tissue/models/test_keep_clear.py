@@ -76,10 +76,12 @@ def test_the_distance_from_a_canal_in_a_block_is_that_of_a_ball_from_a_cylinder(
     )
 
 
-def test_the_result_table_has_the_smallest_distance_and_the_simulated_volume(run):
+def test_the_result_table_begins_with_the_breach_and_has_the_simulated_volume(run):
     rows = dict(run_rows(run.summary))
-    least = run.summary["keep_clear"]["canal"]["least_distance_mm"]
-    assert rows["smallest distance to canal"] == f"{least:.3g} mm"
+    found = run.summary["keep_clear"]["canal"]
+    depth, first_s = found["breach_depth_mm"], found["first_breach_s"]
+    text = f"breached, {depth:.2g} mm deep, first at {first_s:.3f} s"
+    assert next(iter(rows.items())) == ("smallest distance to canal", text)
     (layer,) = run.summary["start_mm3"]
     removed = run.summary["removed_mm3"][layer]
     start = run.summary["start_mm3"][layer]
@@ -108,7 +110,12 @@ def test_an_event_and_a_row_state_the_first_time_within_the_margin(tmp_path, run
     found = closer.summary["keep_clear"]["canal"]
     assert (found["margin_mm"], found["first_below_margin_s"]) == (0.5, pytest.approx(time_s))
     row = dict(run_rows(closer.summary))["smallest distance to canal"]
-    assert row.endswith(f" mm, closer than the margin of 0.5 mm from {time_s:.3f} s")
+    assert row == dict(run_rows(run.summary))["smallest distance to canal"]
+    unbroken = found | {"first_breach_s": None, "least_distance_mm": 0.2}
+    rows = dict(run_rows(closer.summary | {"keep_clear": {"canal": unbroken}}))
+    assert rows["smallest distance to canal"] == (
+        f"0.200 mm, closer than the margin of 0.5 mm from {time_s:.3f} s"
+    )
     assert "margin_mm" not in run.summary["keep_clear"]["canal"]
 
 

@@ -20,13 +20,13 @@ from tissue.simulation.trace import Table, TraceLayout
 
 
 @pytest.fixture(scope="module")
-def other(run, tmp_path_factory):
+def other(run):
     """Return a run of the same block, cut faster and in other voxels."""
     scene = tissue.load_scene(
         "milling", {"voxels.spacing_mm": 0.5, "duration_s": 0.3, "motion.feed_mm_s": 9.0}
     )
     made = tissue.simulate(scene)
-    made.save(tmp_path_factory.mktemp("runs") / "faster", pictures=False)
+    made.save(run.path.with_name("faster"), pictures=False)
     return made
 
 
@@ -161,6 +161,8 @@ def test_the_legend_names_the_folders_of_saved_runs(other, tmp_path):
         shutil.copytree(other.path, tmp_path / "class" / name / "attempt-1")
     attempts = [tmp_path / "class" / name / "attempt-1" for name in ("p04", "p10")]
     assert list(tissue.compare(*attempts).runs) == ["p04", "p10"]
+    attempts[1] = attempts[1].rename(attempts[1].with_name("attempt-2"))
+    assert list(tissue.compare(*attempts).runs) == ["p04/attempt-1", "p10/attempt-2"]
 
 
 def test_keys_are_stated_in_words():
@@ -230,8 +232,8 @@ def test_lengths_are_compared_to_the_tick(run):
     assert any("a 10.001 s, b 10.002 s" in note for note in notes)
 
 
-def test_a_run_that_was_stopped_has_the_time_and_loads_of_its_trace(run, tmp_path):
-    stopped = tmp_path / "stopped"
+def test_a_run_that_was_stopped_has_the_time_and_loads_of_its_trace(run):
+    stopped = run.path.with_name("stopped")
     shutil.copytree(run.path, stopped)
     rows = (stopped / "trace.csv").read_text().splitlines(keepends=True)
     (stopped / "trace.csv").write_text("".join(rows[:201]))

@@ -79,7 +79,7 @@ def test_a_predictor_of_two_methods_runs_guarded_is_judged_and_charted(tmp_path)
     }
     costs = dict.fromkeys(PREDICTORS, (1.0, 2.0))
     found = PredictorComparison("wall", errors, costs)
-    assert "arithmetic mean over the runs" in comparison_lines([found])[0]
+    assert "with its guard (arithmetic mean over the runs" in comparison_lines([found])[0]
     assert any("drift" in line for line in comparison_lines([found]))
     assert any(" drift: 1.00 times the error of hold" in line for line in comparison_lines([found]))
     draw_tasks([found], tmp_path / "tasks.png")

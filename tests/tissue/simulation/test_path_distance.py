@@ -35,7 +35,7 @@ def test_a_scripted_tool_has_no_distance_from_its_path():
 
 def test_a_hand_far_from_its_path_gets_a_note_with_a_smaller_force_scale():
     scene = tissue.load_scene("molar", {"device": "touch", "coupling.force_scale": 0.99})
-    parts = SimpleNamespace(cutter=cutter_of(scene.tool))
+    parts = SimpleNamespace(cutter=cutter_of(scene.tool), keep_clear=None)
     near_mm = {"largest_in_contact": 0.9, "largest": 5.0}  # the bur has a diameter of 1 mm
     assert path_note(scene, parts, near_mm) == {}
     (note,) = path_note(scene, parts, {"largest_in_contact": 6.95, "largest": 23.4}).values()
@@ -47,9 +47,28 @@ def test_a_hand_far_from_its_path_gets_a_note_with_a_smaller_force_scale():
     far_mm = {"largest_in_contact": 1.2, "largest": 1.3}
     (note,) = path_note(quiet, parts, far_mm).values()
     assert "hides" not in note
+    assert "smaller coupling.motion_scale, such as 0.2 instead of 1, the tool moves less" in note
     still = SimpleNamespace(cutter=replace(parts.cutter, spin_rad_s=0.0))
     assert path_note(scene, still, {"largest_in_contact": 6.95, "largest": 23.4}) == {}
     assert path_note(scene, parts, None) == {}
+
+
+def test_a_hand_too_close_to_a_structure_gets_a_note_with_a_smaller_motion_scale():
+    scene = tissue.load_scene("molar", {"device": "touch", "coupling.motion_scale": 0.5})
+    kept = {"pulp": {"least_distance_mm": 0.74, "margin_mm": 1.0}}
+    parts = SimpleNamespace(
+        cutter=cutter_of(scene.tool), keep_clear=SimpleNamespace(summary=lambda: kept)
+    )
+    (note,) = path_note(scene, parts, {"largest_in_contact": 0.64, "largest": 0.64}).values()
+    assert "left the path by 0.64 mm. The smallest distance to pulp was 0.740 mm. With a" in note
+    assert "coupling.motion_scale, such as 0.1 instead of 0.5" in note
+    assert "force_scale" not in note
+    # the path itself must be closer than 1 mm if the hand was only 0.2 mm away from it
+    assert path_note(scene, parts, {"largest_in_contact": 0.2, "largest": 0.2}) == {}
+    kept["pulp"] = {"least_distance_mm": 0.01}
+    assert path_note(scene, parts, {"largest_in_contact": 0.64, "largest": 0.64}) == {}
+    kept["pulp"] = {"least_distance_mm": -0.01}
+    assert path_note(scene, parts, {"largest_in_contact": 0.64, "largest": 0.64}) != {}
 
 
 def test_the_notes_of_a_run_contain_the_note_on_its_path(monkeypatch):
@@ -57,3 +76,13 @@ def test_the_notes_of_a_run_contain_the_note_on_its_path(monkeypatch):
     changes = {"device": "touch", "duration_s": 0.02, "voxels.spacing_mm": 0.5}
     notes = tissue.simulate(tissue.load_scene("milling", changes)).summary["notes"]
     assert "coupling.force_scale = " in notes["distance from the path"]
+
+
+def test_a_replay_of_a_file_in_metres_gets_a_note(tmp_path):
+    header = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw"
+    rows = "0,0,0,0.002,0,0,0,1\n0.02,0,0,-0.001,0,0,0,1\n"
+    (tmp_path / "poses.csv").write_text(f"{header}\n{rows}")
+    motion = {"motion.kind": "replay", "motion.file": str(tmp_path / "poses.csv")}
+    run = tissue.simulate(tissue.load_scene("milling", motion | {"voxels.spacing_mm": 0.5}))
+    note = run.summary["notes"]["length of the path"]
+    assert note.startswith("only 0.003 mm") and "columns of motion.file" in note

@@ -67,13 +67,13 @@ def test_a_tool_that_leaves_the_region_is_reported_once_and_breaks_or_breaches_n
     assert run.trace["distance_plate_mm"].min() < 0.0
     draw_section(run, tmp_path / "section.svg")
     drawn = (tmp_path / "section.svg").read_text()
-    assert f"{least_mm:.2f} mm away" in drawn
+    assert f"{least_mm:.3f} mm away" in drawn
     # row, summary and picture state until when the distance holds
     left_s = reported_s(run, "left the simulated region")
     assert run.summary["left_region_s"] == left_s and f"up to {left_s:.3f} s" in drawn
     row = dict(run_rows(run.summary))["smallest distance to plate"]
     assert row == (
-        f"{least_mm:.3g} mm (up to {left_s:.3f} s; the tool then left the simulated region)"
+        f"{least_mm:.3f} mm (up to {left_s:.3f} s; the tool then left the simulated region)"
     )
     (layer,) = run.summary["removed_mm3"]
     removed = dict(run_rows(run.summary))[f"removed {layer}"]

@@ -201,8 +201,9 @@ def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
     interval of the paired difference excludes zero.
     """
     lines = [
-        "error at 4 ms on unseen runs, % of the force (arithmetic mean over the runs, and its 95 % "
-        "interval, computed for the logarithm of the mean)"
+        "error at 4 ms on unseen runs, % of the force, of each predictor with its guard "
+        "(arithmetic mean over the runs, and its 95 % interval, computed for the logarithm of the "
+        "mean)"
     ]
     for each in found:
         at_delay = {kind: each.at(kind, DELAY_MS) for kind in PREDICTORS}
@@ -295,7 +296,7 @@ def draw_scene(found: PredictorComparison, path: Path) -> None:
     )
     chart.suptitle(
         f"{found.scene}: {len(found.errors['hold'])} runs with other seeds, in tissue 30 % softer "
-        "and stiffer; bars and bands are 95 %",
+        "and stiffer; bands: 95 % intervals",
     )
     save(chart, path)
 

@@ -24,7 +24,7 @@ from tissue.evaluation.statistics.hypothesis_test import (
     symmetric_residuals,
 )
 from tissue.evaluation.statistics.mixed import mixed_model
-from tissue.evaluation.statistics.sign_flips import SignTest, pair_scores, sign_test
+from tissue.evaluation.statistics.sign_flips import EQUAL, SignTest, pair_scores, sign_test
 from tissue.evaluation.statistics.strata import (
     Strata,
     effect_scores,
@@ -307,7 +307,10 @@ def _pairs(signs: SignTest, others: Sequence[HypothesisTest]) -> list[Hypothesis
         difference = signs.differences[index]
         error = signs.errors[index]
         reach = signs.critical * error
-        effect = Effect("difference", difference, difference - reach, difference + reach)
+        ends = np.array([difference - reach, difference + reach])
+        # an end at zero stays there in spite of rounding errors
+        ends[np.abs(ends) <= EQUAL * abs(difference)] = 0.0
+        effect = Effect("difference", difference, *ends.tolist())
         test = HypothesisTest(
             "sign flips", other.question, "t", difference / error, (), signs.pair_p[index], effect
         )

@@ -52,7 +52,10 @@ class Assumption:
 
 @dataclass(frozen=True)
 class Effect:
-    """Size of an effect, with an interval of coverage :data:`LEVEL`."""
+    """Size of an effect, with an interval of coverage :data:`LEVEL`.
+
+    The ends of the interval are infinite if the users are too few for an interval.
+    """
 
     name: str
     value: float
@@ -60,6 +63,8 @@ class Effect:
     high: float
 
     def __str__(self) -> str:
+        if not np.isfinite(self.high - self.low):
+            return f"{self.name} {self.value:.3g}, no 95 % interval"
         return f"{self.name} {self.value:.3g} [{self.low:.3g}, {self.high:.3g}]"
 
 
@@ -186,7 +191,8 @@ def partial_eta_squared(statistic: float, above: float, below: float) -> Effect:
     variation and the variation of the error.
 
     Each end of the interval is L / (L + above + below + 1), where L is the noncentrality parameter
-    of F at this end (Steiger 2004).
+    of F at this end (Steiger 2004). The interval is for the population, where the share is smaller
+    on average than in a sample. The value can therefore lie above its interval.
 
     Parameters
     ----------

@@ -8,6 +8,7 @@ different variances.
 """
 
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 
@@ -26,6 +27,8 @@ FLIPS_OF_RATES = 199
 
 With 199 flips, a significance level of 5 % is met exactly.
 """
+LARGEST_T = 1e5
+"""Absolute t above which a flip counts as one without variance; `SMALLEST` limits it to 1e6."""
 BLOCK = 2_000_000
 """Largest number of array entries that are processed at once (16 MB)."""
 SMALLEST = 1e-12
@@ -54,7 +57,8 @@ class SignTest:
         (Westfall and Young 1993).
     critical
         Absolute t that the largest t after a random sign flip reaches with a probability of 5 %.
-        ``differences ± critical * errors`` are simultaneous 95 % intervals.
+        ``differences ± critical * errors`` are simultaneous 95 % intervals. Infinite if the users
+        are too few for such an interval.
     """
 
     statistic: float
@@ -234,7 +238,11 @@ def sign_test(
     flipped = np.concatenate(largest)
     ordered = np.sort(flipped)
     # the flips that reach it and the measured statistic are 5 % of all
-    critical = ordered[-max(1, int(ALPHA * (flips + 1)))] ** 0.5
+    rank = int(ALPHA * (flips + 1))
+    # within users, the flip of all signs has the measured statistic, too
+    critical = inf if rank < (1 if between else 2) else float(ordered[-rank] ** 0.5)
+    if critical > LARGEST_T:
+        critical = inf
     pair_p = flipped_p(squares, np.broadcast_to(flipped, (len(squares), flips)))
     return SignTest(
         squares.max() ** 0.5,

@@ -166,6 +166,9 @@ def _outcomes(outcomes: Sequence[Outcome], remarks: Sequence[str]) -> Section:
         "t after random changes of the sign of each person's differences or residuals. The last "
         "column has the tests of the paper (F, MANOVA, mixed model), which assume that methods and "
         f"groups have equal spread. {agreement}. Power and error rates has their measured rates.",
+        "Partial eta squared is the effect's share of the variation in this sample. On average it "
+        "is larger than the share in the population. Its 95 % interval is for the share in the "
+        "population (noncentral F, Steiger 2004). The value can therefore lie above its interval.",
         f"The check of symmetry, which sign flips assume, fails in "
         f"{sum(not each.sound for _, each in outcomes)} of them.",
         *remarks,
@@ -195,13 +198,24 @@ def _pairs(found: Sequence[MetricComparison]) -> Section:
             sizes.append((f"{each.task} {pair_name}", size, question in found_pairs))
             rows.append({"task": each.task, "pair": question, "figures": name, "size": str(size)})
     big = [f"{name} {size.value:+.1f}" for name, size, is_found in sizes if is_found]
+    together = (
+        "Pairs are decided by the same sign flips as their tests. Their p values and 95 % "
+        "intervals hold for all pairs of a test together."
+    )
+    effects = [pair.effect for each in found for pair in each.pairs if pair.effect]
+    if not all(np.isfinite(effect.high) for effect in effects):
+        together += (
+            " A pair without an interval has too few people. For methods, the smallest p value "
+            "with n people is 2 / 2^n, which is 0.125 with 4 people. A 95 % interval therefore "
+            "needs 6 people. For groups, 3 people in each group are enough."
+        )
     sentences = (
-        "Pairs are decided by the same sign flips as their tests. Their p values and intervals "
-        "hold for all pairs of a test together.",
-        "Cohen's d of the force error for the pairs that differ at 5 % by these sign flips: "
-        f"{', '.join(big) or 'none'}. Each interval of d holds for its pair alone, not for all "
-        "pairs together. Simulated people differ less than real people, so the same difference is "
-        "larger in standard deviations. The differences in percent above do not depend on that.",
+        together,
+        "Cohen's d of the force error for the pairs that differ at 5 % by these sign flips, "
+        f"without correction for the number of tests: {', '.join(big) or 'none'}. Each interval of "
+        "d holds for its pair alone, not for all pairs together. Simulated people differ less than "
+        "real people, so the same difference is larger in standard deviations. The differences in "
+        "percent above do not depend on that.",
     )
     picture = _sizes_picture(sizes) if sizes else b""
     return Section("pairs", "Pairs and sizes of effects", sentences, rows, picture)
@@ -212,8 +226,8 @@ def _sizes_picture(sizes: Sequence[tuple[str, Effect, bool]]) -> bytes:
 
     `sizes` has the name of each pair, its d, and True if the test of the pair shows a difference.
     """
-    # inches: 0.24 a line, and 1.2 for axis and label
-    figure, (axes,) = drawing(9.0, 0.24 * len(sizes) + 1.2)
+    # inches: 0.24 a line, and 1.4 for axis and label
+    figure, (axes,) = drawing(9.0, 0.24 * len(sizes) + 1.4)
     # inches at the sides, so that no name of a pair touches the edge
     figure.set_layout_engine("constrained", w_pad=0.1)
     for line, (_, size, is_found) in enumerate(sizes):
@@ -234,7 +248,8 @@ def _sizes_picture(sizes: Sequence[tuple[str, Effect, bool]]) -> bytes:
     axes.set_ylim(len(sizes) - 0.5, -0.5)
     axes.set_xlabel(
         "Cohen's d of the force error (linear within ±1), 95 % interval\n"
-        "of each pair alone; blue: the test of the pair shows a difference"
+        "of each pair alone; blue: the test of the pair shows a difference at 5 %,\n"
+        "without correction for the number of tests"
     )
     return image(figure)
 

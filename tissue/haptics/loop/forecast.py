@@ -203,5 +203,5 @@ def _faded(taps: Array) -> Array:
             "train the predictor with capped eigenvalues, or use another predictor",
         )
     # Responses down to a tenth of the bound are kept, so the truncation has no effect on the
-    # analysis.
-    return taps[:, : int(np.flatnonzero(ages > 0.1 * FADED)[-1]) + 1]
+    # analysis. A constant force has no response: one age of zeros is kept.
+    return taps[:, : int(np.flatnonzero(ages > 0.1 * FADED).max(initial=0)) + 1]

@@ -107,9 +107,9 @@ class RegionEnd:
         for each in self._reporters:
             each.stop_reporting()
         return (
-            "the tool left the simulated region, and there is tissue beyond it. Later forces are "
-            "not valid, and later break-throughs, exposures and breaches are not reported. "
-            f"Use a voxels.margin_mm above {self._margin_mm:g}"
+            "the tool left the simulated region, and there is tissue beyond it. Later forces and "
+            "temperatures are not valid, and later break-throughs, exposures and breaches are not "
+            f"reported. Use a voxels.margin_mm above {self._margin_mm:g}"
         )
 
     def _has_left(self, tip_m: Array, rotation: Array) -> bool:

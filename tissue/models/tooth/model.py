@@ -92,6 +92,7 @@ class ToothModel(MilledTissue):
         if heat is not None:
             self.measure_names += ("pulp_rise_K",)
         self._pulp_rise_K = 0.0
+        self._pulp_limit_reported = False
         self._touched = np.zeros(len(milling.store.places), np.bool_)
         self._interval_s = interval_s
         self._next_s = 0.0
@@ -237,10 +238,10 @@ class ToothModel(MilledTissue):
         return motion.tip_m + radius * (motion.rotation[:, 2] - toward)
 
     def _see_pulp(self, heat: CuttingHeat) -> None:
-        """Read the temperature of the pulp after an interval, and report an exceeded limit."""
-        before = self._pulp_rise_K
+        """Read the temperature of the pulp after an interval; report an exceeded limit once."""
         self._pulp_rise_K = heat.pulp_rise_K
-        if before < PULP_LIMIT_K <= self._pulp_rise_K:
+        if self._pulp_rise_K >= PULP_LIMIT_K and not self._pulp_limit_reported:
+            self._pulp_limit_reported = True
             self.notices.append(f"the pulp is {PULP_LIMIT_K:g} K warmer than at the start")
 
     def _await(self) -> None:

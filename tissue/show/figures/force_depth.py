@@ -114,6 +114,8 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
         axes.set_ylabel(field_words(*names).replace(" / ", "\n/ "))
         if len(names) > 1:
             axes.legend(ncols=2, loc="best", fontsize=8)
+        elif unseen := _unseen_extremes(run, names[0], rows):
+            axes.set_title(unseen, loc="right", fontsize=8)
     _shade(run, panels, depth, rows, size)
     plain(panels)
     panels[-1].set_xlim(depth[0], depth[-1])
@@ -126,6 +128,27 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
     legend_above(panels[0], 2)
     save(chart, path)
     return None
+
+
+def _unseen_extremes(run: Run, name: str, rows: Ints) -> str:
+    """Return a text with the extremes of a column that lie outside the range of the drawn rows.
+
+    Rows of the trace before the first drawn row do not count.
+    """
+    values = run.trace[name][rows[0] :]
+    shown = run.trace[name][rows]
+    unit = field_label(name)[1]
+    # 1 % of the range cannot be seen in the picture
+    slack = 0.01 * np.ptp(values)
+    found = []
+    for word, row, is_outside in (
+        ("largest", int(values.argmax()), values.max() > shown.max() + slack),
+        ("smallest", int(values.argmin()), values.min() < shown.min() - slack),
+    ):
+        if is_outside:
+            time_s = run.trace["time_s"][rows[0] + row]
+            found.append(f"{word} in the run: {values[row]:.3g} {unit} at {time_s:.3g} s")
+    return ", ".join(found)
 
 
 def _shade(run: Run, panels: NDArray[np.object_], depth: Array, rows: Ints, force: Array) -> None:
@@ -303,13 +326,15 @@ def draw_wall(run: Run, path: Path) -> None:
         end = deep + LONGEST * (high - low)
         draw_arrow(side, (at, deep), (at, end), FORCE, width=2.0)
         side.text(at, end, f"{force[row]:.3g} N", color=FORCE, ha="center", va="bottom")
-    side.set(xlabel=f"{'xy'[across]} / mm", ylabel="z / mm", ylim=(low, high))
+    side.set(xlabel=f"{'xy'[across]} / mm", ylabel="z / mm")
+    # a path wider than the panel extends these limits, and fixed limits would print a warning
+    side.set_ylim(low, high, auto=True)
     side.set_aspect("equal", adjustable="datalim")
     felt.plot(-aimed[:, 2], force, color=FORCE, linewidth=1.4, label="of the wall on the ball")
     felt.set_ylabel("force along z / N")
     # a fifth of the depth is shown before the contact
     felt.set_xlim(left=0.2 * min(float(aimed[:, 2].min()), -1.0))
     plain((side, felt))
-    side.legend(loc="upper right")
+    legend_above(side, 3)
     felt.legend(loc="upper left")
     save(chart, path)

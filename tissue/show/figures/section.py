@@ -460,11 +460,11 @@ def draw_kept_clear(
     until = "" if end is None or end.left_s is None else f",\nup to {end.left_s:.3f} s"
     distances_mm = distances_to_structures(run)
     least_mm = distances_mm[near.name]
-    line = f"smallest distance of the tool,\n{least_mm:.2f} mm away from {near.name}{until}"
+    line = f"smallest distance of the tool,\n{least_mm:.3f} mm away from {near.name}{until}"
     if least_mm < 0.0:
         # the line of a depth need not lie in a plane with the axis
         line = (
-            f"largest depth of the tool (projected),\n{-least_mm:.2f} mm inside {near.name}{until}"
+            f"largest depth of the tool (projected),\n{-least_mm:.3f} mm inside {near.name}{until}"
         )
     handles: list[Artist] = [Line2D([], [], label=line, **NEAREST)]
     for name, colour in zip(distances_mm, cycle(STRUCTURES), strict=False):
@@ -473,13 +473,13 @@ def draw_kept_clear(
         if depth.min() < 0.0 < depth.max():
             axes.contourf(u, v, depth, [float(depth.min()), 0.0], colors=[colour], alpha=0.15)
             axes.contour(u, v, depth, [0.0], colors=[colour], linewidths=[1.6])
-        label = name
+        label = f"surface of {name}"
         if name != near.name:
             now_mm = float(run.trace[f"distance_{name}_mm"][section.row])
-            where = f"{now_mm:.2f} mm away from the tool"
+            where = f"{now_mm:.3f} mm away from the tool"
             if now_mm < 0.0:
-                where = f"tool {-now_mm:.2f} mm inside"
+                where = f"tool {-now_mm:.3f} mm inside"
             # a single line would be wider than the picture
-            label = f"{name}, at this time\n{where}"
+            label = f"surface of {name}, at this time\n{where}"
         handles.append(Patch(facecolor=colour, alpha=0.4, label=label))
     return handles

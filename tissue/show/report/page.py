@@ -54,7 +54,15 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
     tick = summary["tick_us"]
     left_s = summary.get("left_region_s")
     valid = "" if left_s is None else f" (not valid after {left_s:.3f} s)"
-    rows = [("simulated", f"{summary['simulated_s']:g} s")]
+    until = ""
+    if left_s is not None:
+        until = f" (up to {left_s:.3f} s; the tool then left the simulated region)"
+    # The distances come first, because a breach matters more than any other result.
+    rows = [
+        (f"smallest distance to {name}", f"{_distance_text(each)}{until}")
+        for name, each in summary.get("keep_clear", {}).items()
+    ]
+    rows.append(("simulated", f"{summary['simulated_s']:g} s"))
     if summary["cuts"]:
         start = summary["start_mm3"]
         rows += [
@@ -63,16 +71,6 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
             for layer, removed in summary["removed_mm3"].items()
             if start[layer] > 0.0
         ]
-    until = ""
-    if left_s is not None:
-        until = f" (up to {left_s:.3f} s; the tool then left the simulated region)"
-    rows += [
-        (
-            f"smallest distance to {name}",
-            f"{each['least_distance_mm']:.3g} mm{_margin_text(each)}{until}",
-        )
-        for name, each in summary.get("keep_clear", {}).items()
-    ]
     if (rise := summary.get("largest_rise")) is not None:
         rising = ", still rising at the end" if rise["rising_at_end"] else ""
         rows.append(
@@ -117,13 +115,16 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
     ]
 
 
-def _margin_text(kept: Summary) -> str:
-    """Return a text on whether a tool kept its margin to a structure; empty without a margin."""
+def _distance_text(kept: Summary) -> str:
+    """Return a text with the breach of a structure, or the smallest distance and the margin."""
+    if (breach_s := kept.get("first_breach_s")) is not None:
+        return f"breached, {kept['breach_depth_mm']:.2g} mm deep, first at {breach_s:.3f} s"
+    distance = f"{kept['least_distance_mm']:.3f} mm"
     if "margin_mm" not in kept:
-        return ""
+        return distance
     if (first_s := kept["first_below_margin_s"]) is None:
-        return f", margin of {kept['margin_mm']:g} mm kept"
-    return f", closer than the margin of {kept['margin_mm']:g} mm from {first_s:.3f} s"
+        return f"{distance}, margin of {kept['margin_mm']:g} mm kept"
+    return f"{distance}, closer than the margin of {kept['margin_mm']:g} mm from {first_s:.3f} s"
 
 
 def assessment_section(lines: Sequence[str], picture: bytes, text: Text) -> str:

@@ -263,8 +263,8 @@ def device_motion(
     notes.append(f"{factor:g} N at the device for each newton at the tool{how}")
     if scale != 1.0:
         notes.append(
-            f"{scale:g} m at the tool for each metre at the device: a stiffness at the tool is "
-            f"felt as {scale * factor:g} of it, a torque as {factor / scale:g}"
+            f"{scale:g} m at the tool for each metre at the device; at the device, stiffness is "
+            f"{scale * factor:g} times and torque {factor / scale:g} times the value at the tool"
         )
     if settings.output.cue_N > 0.0:
         notes.append(f"cues of {settings.output.cue_N:g} N mark contacts, layers and punctures")

@@ -96,6 +96,7 @@ def test_section_goes_through_the_tool_and_the_nearest_point_of_a_structure(tmp_
     at = tuple(int((place - low) / SPACING_MM) for place, low in ((0.0, u0), (0.5, v0)))
     assert section.start[at] == 1.0 and section.left[at] == 0.0
     draw_section(run, tmp_path / "section.svg")
+    assert "surface of ball" in (tmp_path / "section.svg").read_text()
     assert "the tool&apos;s axis and the nearest point of ball" in (
         tmp_path / "section.svg"
     ).read_text().replace("'", "&apos;")
@@ -119,7 +120,7 @@ def test_section_shows_the_depth_of_a_breach_and_other_distances_at_this_time(tm
     assert np.linalg.norm(of_tool - [0.0, 0.0, 2.0]) == pytest.approx(1.0, abs=0.01)
     draw_section(run, tmp_path / "section.svg")
     drawn = (tmp_path / "section.svg").read_text()
-    assert f"{depth_mm:.2f} mm inside ball" in drawn and "path of its tip" not in drawn
+    assert f"{depth_mm:.3f} mm inside ball" in drawn and "path of its tip" not in drawn
     far_mm = run.trace["distance_far_mm"]
     assert far_mm.min() < far_mm[0] - 1.0
-    assert f"{far_mm[0]:.2f} mm away from the tool" in drawn
+    assert f"{far_mm[0]:.3f} mm away from the tool" in drawn

@@ -63,6 +63,20 @@ def test_the_force_over_depth_has_the_mean_of_the_ticks_of_each_layer(molar, tmp
     force = np.linalg.norm(molar.trace.vectors("model_force", "N"), axis=1)
     mean = force[molar.trace["layer"] == "enamel"].mean()
     assert f"enamel: mean {mean:.2g} N over the whole run" in _words(file)
+    assert not any("in the run: " in word for word in _words(file))
+
+
+def test_the_force_over_depth_states_an_extreme_that_it_does_not_draw(tmp_path):
+    changes = {"motion.points_mm": [[0, 0, 0.3], [0, 0, -1], [1, 0, -1]], "motion.feed_mm_s": 5.0}
+    coarse = {"voxels.spacing_mm": 0.25, "stress": None}
+    run = tissue.simulate(tissue.load_scene("molar", coarse | changes))
+    least = run.trace["dentin_over_pulp_mm"]
+    time_s = run.trace["time_s"][least.argmin()]
+    # the path is at a depth of 1 mm from 0.26 s on
+    assert time_s > 0.3
+    file = tmp_path / "depth.svg"
+    draw_force_depth(run, file)
+    assert f"smallest in the run: {least.min():.3g} mm at {time_s:.3g} s" in _words(file)
 
 
 def test_the_steepest_change_of_the_played_force_is_in_contact(monkeypatch, tmp_path):
