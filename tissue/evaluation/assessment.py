@@ -179,10 +179,6 @@ class Assessment:
         """Names of the protected structures that the trainee's tool breached."""
         return _breached(self.figures["keep_clear"])
 
-    def intervals_over(self, quantity: Quantity) -> int:
-        """Return the number of time spans in which a quantity was above its limit."""
-        return sum(breach.what == quantity.what for breach in self.breaches)
-
 
 def assess(
     trainee: AssessedRun,

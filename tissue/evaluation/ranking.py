@@ -14,6 +14,7 @@ from meshes.base.whole_file import write_rows
 from tissue.evaluation.assessment import (
     Assessment,
     NoSharedContactError,
+    Quantity,
     assess,
     breached_structures,
 )
@@ -307,13 +308,18 @@ def _limit_lines(found: Ranking) -> list[str]:
     for quantity in (some.force, some.deviation, some.depth):
         names = []
         for name, assessed in by_trainee.items():
-            over = sum(each.intervals_over(quantity) > 0 for each in assessed)
+            over = sum(_intervals_over(each, quantity) > 0 for each in assessed)
             share = f" ({over} of {len(assessed)} attempts)" if len(assessed) > 1 else ""
             if over:
                 names.append(name + share)
         if names:
             lines.append(f"   {quantity.what} over the limit: {', '.join(names)}")
     return lines
+
+
+def _intervals_over(found: Assessment, quantity: Quantity) -> int:
+    """Return the number of time spans in which a quantity was above its limit."""
+    return sum(breach.what == quantity.what for breach in found.breaches)
 
 
 def write_ranking(found: Ranking, folder: Path, *, overwrite: bool) -> list[Path]:
@@ -365,7 +371,7 @@ def _row(found: Ranking, place: int | None, person: Person, attempt: Attempt) ->
     one = attempt.found
     for name, each in (("force", one.force), ("deviation", one.deviation), ("depth", one.depth)):
         row[f"{name}_limit_{each.unit}"] = round(each.limit, 4)
-        row[f"intervals_over_{name}_limit"] = one.intervals_over(each)
+        row[f"intervals_over_{name}_limit"] = _intervals_over(one, each)
     least = {
         f"least_distance_{name}_mm": round(attempt.least_mm(name), 4) for name in found.structures
     }

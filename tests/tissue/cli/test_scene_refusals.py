@@ -61,6 +61,7 @@ def test_a_bad_entry_is_refused_by_its_name_and_value(refused, here, override, a
     assert not (here / "runs").exists()
 
 
+@pytest.mark.filterwarnings("default")
 def test_a_note_names_keys_that_an_override_makes_ineffective(command, here):
     options = ("--set", "voxels.spacing_mm=0.5", "--duration-s", 0.01, "--no-pictures")
     code, _, problems = command("run", "pedicle", *options, "--set", "device=touch")

@@ -37,6 +37,8 @@ def test_a_stop_is_not_lost_in_a_package_that_catches_every_exception(name: str)
 
         from tissue.system.stopping import terminated_as_exception
 
+        # a shell starts programs in the background with an ignored SIGINT
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         package = textwrap.dedent('''
             import signal
             try:
