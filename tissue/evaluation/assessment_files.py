@@ -60,7 +60,7 @@ def assessment_lines(found: Assessment) -> list[str]:
         *_structure_lines(found),
         *(f"limit exceeded: {each.sentence}" for each in found.breaches[:MOST_BREACHES]),
         *([f"{counted(more, 'more interval')} over a limit"] if more > 0 else []),
-        *(f"at {at:.3f} s, and not in the reference: {what}" for at, what in found.events),
+        *(f"only in the trainee's run, at {at:.3f} s: {what}" for at, what in found.events),
         *(f"only in the reference, at {at:.3f} s: {what}" for at, what in found.missing),
         *([] if found.breaches or found.breached else ["no limit was exceeded"]),
         *(f"the {who} was cut short" for who, whole in figures["complete"].items() if not whole),

@@ -49,11 +49,9 @@ The search is coarse if the structure has more than `MANY_TRIANGLES`, and its su
 1 mm deep in the tool.
 """
 FINE_M = MEDIAL_TOLERANCE_M, 3e-6
+"""Errors of the tool's medial axis and of the search [m]; their sum is less than `OVERLAP_M`."""
 COARSE_M = 5e-5, 4.5e-5
-"""Errors of the tool's medial axis and of the coarse search [m].
-
-`FINE_M` has the errors of the fine search.
-"""
+"""The same errors in a coarse search [m]; their sum is less than `DEEP_OVERLAP_M`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -311,8 +311,8 @@ class Loop:
             accepted: a tip position [mm], shape (3,), with unchanged orientation; a tip position
             and a quaternion (x, y, z, w), shape (7,); or a homogeneous matrix, shape (4, 4). The z
             axis of the tool points from tip to shank. Leave out the pose if there is a device. The
-            first pose has the time 0 in the trace. In a run of a scene, the start of the path has
-            the time 0. For the times of the run, give the start pose first.
+            first pose has the time 0 in the trace, as the start of the path has in a run of a
+            scene. To get the times of that run, give the start of the path as the first pose.
         velocity
             Velocity of the tip [mm/s], shape (3,), or velocity and angular velocity [rad/s] in one
             array, shape (6,). The default is the change of the pose divided by the duration of the

@@ -109,10 +109,8 @@ def mixed_model(table: TrialTable, metric: str) -> list[HypothesisTest]:
             wald = None
     if wald is None or (wald["df_constraint"] < 1).any():
         raise InputError(
-            metric,
-            "have a variance of users apart from the residual",
-            f"a singular mixed model of {counted(len(frame), 'value')}",
-            "add trials",
+            f"the mixed model of {metric} cannot separate users from the residual with "
+            f"{counted(len(frame), 'value')}. Add trials"
         )
     variances = [fitted.cov_re.iloc[0, 0], *fitted.vcomp, fitted.scale]
     assumptions = (

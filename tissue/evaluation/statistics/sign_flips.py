@@ -28,7 +28,10 @@ FLIPS_OF_RATES = 199
 With 199 flips, a significance level of 5 % is met exactly.
 """
 LARGEST_T = 1e5
-"""Absolute t above which a flip counts as one without variance; `SMALLEST` limits it to 1e6."""
+"""Absolute t above which the variance of a flip counts as zero.
+
+The lower bound `SMALLEST` of the variance limits t to 1e6.
+"""
 BLOCK = 2_000_000
 """Largest number of array entries that are processed at once (16 MB)."""
 SMALLEST = 1e-12
@@ -215,8 +218,8 @@ def sign_test(
     rng
         Random generator of the signs.
     flips
-        Number of random sign flips. If there are no more combinations of signs, each combination is
-        used once instead, and the p value is exact.
+        Number of random sign flips. If the signs have at most `flips` combinations besides the
+        measured one, each combination is used once, and the p value is exact.
     """
     users = len(groups)
     every = _all_signs(users) if 2**users - 1 <= flips else None

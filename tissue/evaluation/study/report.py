@@ -167,10 +167,11 @@ def _overview(folder: StudyFolder) -> Section:
         f"{len(kept)} of {sum(1 for _ in plan.all_trials())} trials are there, seed {plan.seed}, "
         f"version {package_version()}; methods {', '.join(plan.methods)}. Every trial has a "
         f"latency of {LATENCY_MS} ms on the device touch.",
-        "Simulated people differ in pace, exponent and threshold, groups in hand and threshold. A "
-        f"group has at most {min(plan.trials, USERS)} of them. No real person took part, and "
-        "nothing here is a measure of physical fidelity: forces are held against the engine's own "
-        "ideal, as the paper's are against its own.",
+        "Simulated people differ in pace, exponent and threshold. Groups differ in hand and "
+        f"threshold. A group has at most {counted(min(plan.trials, USERS), 'simulated user')}. "
+        "No real person took part. The results do not measure physical fidelity: forces are "
+        "compared with the ideal force of this program, as the paper compares its forces with its "
+        "own ideal.",
         f"Figures of the paper: {SOURCE}. Tasks are compared with it that meet all conditions that "
         "it states; it states no geometry, tool or path.",
     ]

@@ -184,7 +184,8 @@ SIDE_BY_SIDE = 0.15
 SPRING_BACK_MM = 1.0
 """Longest outward motion of a needle that counts as part of an insertion [mm].
 
-A needle on a device springs back after a slip, by 0.11 mm in an insertion at 50 mm/s.
+A needle on a device springs back by some tenths of a millimetre after a slip. The value was chosen
+by judgement. It affects only the picture.
 """
 
 

@@ -14,8 +14,8 @@ ALONG, AROUND, FINE = 3, 48, 40
 """Numbers of balls in the search for the ball of a tool that is nearest to a structure.
 
 `ALONG` balls lie along each segment of the tool's medial axis, and `AROUND` balls around its axis.
-In the second search, `FINE` balls lie in both directions. The length of the drawn line then
-deviates by 0.02 mm for reamers of 30 mm.
+In the second search, `FINE` balls lie in both directions. The numbers affect only the picture;
+`tests/tissue/show/figures/test_layer_pictures.py` checks the length of the drawn line.
 """
 
 
