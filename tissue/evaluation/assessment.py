@@ -32,7 +32,7 @@ from tissue.simulation.findings import TOLERANCE_MM, thrust_depth_mm
 from tissue.simulation.run_folder import Summary
 from tissue.simulation.trace import Table
 
-NUMBER = re.compile(r"\d+(?:\.\d+)?")
+NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[+-]\d+)?")
 """Number without sign in a sentence about a run."""
 GAP_S = 0.15
 """Longest time [s] between two exceeded limits that count as one; a period of slow tremor.
