@@ -25,14 +25,15 @@ from tissue.evaluation.statistics.metrics import (
 from tissue.evaluation.steadiness import Steadiness, steadiness
 from tissue.haptics.device.device import device_parameters
 from tissue.materials.scene_constants import Materials
-from tissue.motion.motion import frame_along
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ThrustMotion
 from tissue.simulation.bone_surface import tool_axes
-from tissue.simulation.findings import TOLERANCE_MM
+from tissue.simulation.findings import TOLERANCE_MM, thrust_depth_mm
 from tissue.simulation.run_folder import Summary
 from tissue.simulation.trace import Table
 
+NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[+-]\d+)?")
+"""Number without sign in a sentence about a run."""
 GAP_S = 0.15
 """Longest time [s] between two exceeded limits that count as one; a period of slow tremor.
 
@@ -310,17 +311,20 @@ def assess(
 
 def _events_not_in(other: AssessedRun, run: AssessedRun) -> tuple[tuple[float, str], ...]:
     """Return the events of a run that the other run does not have, as times and sentences."""
-    known = {_without_numbers(each["what"]) for each in other.summary.get("events", ())}
+    known = {without_numbers(each["what"]) for each in other.summary.get("events", ())}
     return tuple(
         (each["time_s"], each["what"])
         for each in run.summary.get("events", ())
-        if _without_numbers(each["what"]) not in known
+        if without_numbers(each["what"]) not in known
     )
 
 
-def _without_numbers(event: str) -> str:
-    """Return the sentence of an event without its numbers, which differ between runs."""
-    return re.sub(r"\d+(\.\d+)?", "", event)
+def without_numbers(sentence: str) -> str:
+    """Return a sentence with "…" for each number.
+
+    For example, the sentences of equal events in two runs differ only in their numbers.
+    """
+    return NUMBER.sub("…", sentence)
 
 
 def _notes(trainee: AssessedRun, reference: AssessedRun) -> Iterator[str]:
@@ -379,8 +383,7 @@ def _drilling_ticks(scene: Scene, trace: Table) -> int:
     """
     if not isinstance(scene.motion, ThrustMotion):
         return len(trace.rows)
-    heading = -frame_along(scene.motion.axis)[:, 2]
-    depth_mm = trace.vectors("tool", "mm") @ heading
+    depth_mm = thrust_depth_mm(scene.motion, trace)
     reached = np.flatnonzero(depth_mm >= scene.motion.depth_mm - TOLERANCE_MM)
     return int(reached[0]) if len(reached) else len(trace.rows)
 

@@ -12,11 +12,13 @@ from meshes.base.errors import InputError, counted
 from meshes.base.text_tables import natural_order
 from meshes.base.whole_file import write_rows
 from tissue.evaluation.assessment import (
+    NUMBER,
     Assessment,
     NoSharedContactError,
     Quantity,
     assess,
     breached_structures,
+    without_numbers,
 )
 from tissue.evaluation.assessment_files import limits_line
 from tissue.evaluation.same_task import AssessedRun, OtherTaskError, coupling_notes
@@ -31,8 +33,6 @@ if TYPE_CHECKING:
 FILES = ("ranking.csv", "ranking.png")
 LEAST_ATTEMPTS = 3
 """Smallest number of attempts for an interval from the spread of a trainee's scores."""
-UNFINISHED = "the path of the trainee is not finished"
-"""Beginning of the note of an assessment on an unfinished path."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = "os^DvPX"
 BREACHED = "#D55E00"
@@ -133,8 +133,9 @@ class Ranking:
         Sentence with the reason for each run that is not ranked. For example, the run has another
         task than the reference run, or no score.
     notes
-        Sentences about differences from the scene of the reference run. Each sentence is the key of
-        the names of the runs to which it applies.
+        Sentences about differences from the scene of the reference run, and about runs that did
+        not finish their paths. Each sentence is the key of the names of the runs to which it
+        applies. Sentences that differ only in numbers are one sentence with ranges of the numbers.
     """
 
     scene: str
@@ -188,7 +189,7 @@ def rank(
     people = []
     unscored = []
     left_out = []
-    notes: dict[str, list[str]] = {}
+    notes: dict[str, list[tuple[str, str]]] = {}
     device = reference.scene and reference.scene.device
     # without a device, the reference has no coupling: the first ranked run has the compared one
     first: tuple[AssessedRun, str] | None = None
@@ -227,9 +228,8 @@ def rank(
             name = path.relative_to(folder).as_posix()
             first = first or (run, name)
             for note in (*found.notes, *(() if device else coupling_notes(run, *first))):
-                # Each run stops at another depth, so the note of all runs leaves the depth out.
-                shared = UNFINISHED if note.startswith(UNFINISHED) else note
-                notes.setdefault(shared, []).append(name)
+                # For example, each run stops at another depth.
+                notes.setdefault(without_numbers(note), []).append((note, name))
             attempts.append(Attempt(path.name, found))
         if attempts:
             people.append(Person(person.name, tuple(attempts)))
@@ -247,8 +247,25 @@ def rank(
         )
     people.sort(key=lambda person: (person.breached_share, -person.mean))
     scene = str(reference.summary.get("scene"))
-    noted = {note: tuple(names) for note, names in notes.items()}
+    noted = {}
+    for pairs in notes.values():
+        sentences, names = zip(*pairs, strict=True)
+        noted[_shared_note(sentences)] = names
     return Ranking(scene, tuple(people), tuple(unscored), tuple(left_out), noted)
+
+
+def _shared_note(notes: Sequence[str]) -> str:
+    """Return one note for notes that differ only in numbers.
+
+    A number that differs becomes the range of its values.
+    """
+    ranges = []
+    for values in zip(*(NUMBER.findall(note) for note in notes), strict=True):
+        smallest = min(values, key=float)
+        largest = max(values, key=float)
+        ranges.append(smallest if smallest == largest else f"{smallest} to {largest}")
+    remaining = iter(ranges)
+    return NUMBER.sub(lambda _: next(remaining), notes[0])
 
 
 def ranking_lines(found: Ranking) -> list[str]:
@@ -342,9 +359,11 @@ def write_ranking(found: Ranking, folder: Path, *, overwrite: bool) -> list[Path
             for attempt in person.attempts
         ]
         write_rows(folder / FILES[0], [rows[0], *(row.values() for row in rows)])
+        written = [folder / FILES[0]]
         if found.people:
             _draw(found, folder / FILES[1])
-    return [folder / name for name in FILES[: 1 + bool(found.people)]]
+            written.append(folder / FILES[1])
+    return written
 
 
 def _row(found: Ranking, place: int | None, person: Person, attempt: Attempt) -> dict[str, object]:

@@ -16,7 +16,7 @@ from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress
 from meshes.tets.regions import place_on_surface
 from meshes.tets.tetrahedra import TetMesh, grid_of
-from tissue.models.organ.probe import ProbeShape, SphereProbe
+from tissue.models.organ.probe import AREA_EDGE, ProbeShape, SphereProbe
 from tissue.motion.motion import frame_along
 from tissue.objects.html import table_html
 from tissue.objects.tools import PressingTool
@@ -384,7 +384,10 @@ def _require_growing(curve: PressCurve, *, relaxes: bool) -> None:
 
 
 def _resolution(mesh: TetMesh, probe: ProbeShape, point_m: Array, *, order: int) -> dict[str, str]:
-    """Return a note if the mesh edges under the tool are too long for the size of the tool."""
+    """Return a note if mesh edges are too long for the force or for the contact area of a ball.
+
+    Only the edges under the tool count. `order` is the order of the tetrahedra.
+    """
     corners = mesh.nodes_m[mesh.surface]
     near = np.linalg.norm(corners.mean(axis=1) - point_m, axis=1)
     radius = probe.size_m[0]
@@ -394,12 +397,15 @@ def _resolution(mesh: TetMesh, probe: ProbeShape, point_m: Array, *, order: int)
     wanted = 2.0 * radius / TOOL_EDGES
     if edge <= LONG * wanted:
         # Quadratic tetrahedra have a node in the middle of an edge.
-        if not isinstance(probe, SphereProbe) or edge <= wanted * order:
+        limit = AREA_EDGE * radius * order
+        if not isinstance(probe, SphereProbe) or edge <= limit:
             return {}
+        # Half of the limit, because the longest edges of a mesh are up to 1.5 times edge_mm.
         return {
-            "contact area": "area_mm2 is too small: nodes under the ball are up to "
-            f"{1e3 * edge / order:.3g} mm apart, and the ball has a radius of {1e3 * radius:.3g} "
-            f"mm. Refine the organ there with edge_mm={0.5e3 * edge:.2g} or less"
+            "contact area": "area_mm2 may be wrong by 10 % or more: nodes under the ball "
+            f"are up to {1e3 * edge / order:.3g} mm apart, and the ball has a radius of "
+            f"{1e3 * radius:.3g} mm. Refine the organ there with edge_mm={0.5e3 * limit:.2g} or "
+            "less"
         }
     return {
         "mesh": f"edges of up to {1e3 * edge:.3g} mm under a tool of {2e3 * radius:.3g} mm, which "

@@ -498,14 +498,11 @@ def report(
     given = {name: value for name, value in limits.items() if value is not None}
     if against is not None:
         found = assessed_section(assessed_run(run), assessed_run(against), **given)
-    else:
-        for name, value in given.items():
-            raise InputError(
-                name,
-                "be left out without a reference run",
-                f"{value:g}",
-                f"give against, or remove {name}",
-            )
+    elif given:
+        # The module takes long to import, and most reports do not need it.
+        from tissue.objects.loop_settings import leave_out
+
+        leave_out(given, "without a reference run", remedy="give against, or remove it")
     if isinstance(run, Run):
         if out is None:
             if run.path is None:

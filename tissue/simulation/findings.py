@@ -96,6 +96,12 @@ def findings(
     ]
 
 
+def thrust_depth_mm(motion: ThrustMotion, trace: Table) -> Array:
+    """Return the depth of the tip along the direction of a thrust [mm], shape (ticks,)."""
+    direction = -frame_along(motion.axis)[:, 2]
+    return trace.vectors("tool", "mm") @ direction
+
+
 def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> dict[str, str]:
     """Return notes, keyed by subject, on targets that a run did not reach or remove.
 
@@ -107,9 +113,8 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
     found = {}
     wanted_s = parts.motion.duration_s - parts.motion.after_s
     if isinstance(scene.motion, ThrustMotion):
-        heading = -frame_along(scene.motion.axis)[:, 2]
         wanted = scene.motion.depth_mm
-        came = float((trace.vectors("tool", "mm") @ heading).max())
+        came = float(thrust_depth_mm(scene.motion, trace).max())
         if came < wanted - TOLERANCE_MM:
             found["path"] = (
                 f"not finished: the tip reached a depth of {came:.3g} mm, and motion.depth_mm is "

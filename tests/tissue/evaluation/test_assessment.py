@@ -437,7 +437,10 @@ def test_a_ranking_names_the_limits_and_the_trainees_over_a_limit(tmp_path, monk
         for name, each in runs.items()
     }
     for depth_mm, run in enumerate(loaded.values()):
-        run.summary["notes"] = {"path": f"not finished: the tip reached a depth of {depth_mm} mm"}
+        run.summary["notes"] = {
+            "path": f"not finished: the tip reached a depth of {depth_mm} mm, and motion.depth_mm "
+            "is 4; raise duration_s"
+        }
     reference = scored(tmp_path / "r", saved(tmp_path / "r", path))
     found = rank(people, reference, loaded.get)
     lines = ranking_lines(found)
@@ -445,7 +448,14 @@ def test_a_ranking_names_the_limits_and_the_trainees_over_a_limit(tmp_path, monk
     assert limits.endswith(" mm from the first contact of the reference")
     assert "   depth over the limit: anna (1 of 2 attempts)" in lines
     notes = [line for line in lines if "not finished" in line]
-    assert notes == ["note: the path of the trainee is not finished"]
+    assert notes == [
+        "note: the path of the trainee is not finished: the tip reached a depth of 0 to 2 mm, and "
+        "motion.depth_mm is 4; raise duration_s"
+    ]
+    for run in loaded.values():
+        run.summary["notes"] = {"path": "not finished: the tip reached a depth of 0.5 mm"}
+    (note,) = rank(people, reference, loaded.get).notes
+    assert note.endswith("is not finished: the tip reached a depth of 0.5 mm")
     assert not any(line.startswith("hint") for line in lines)
     charts = []
     monkeypatch.setattr(ranking, "save", lambda chart, path: charts.append(chart))

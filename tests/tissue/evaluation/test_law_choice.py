@@ -45,7 +45,7 @@ def test_the_error_of_the_linear_law_grows_with_the_depth():
 
 @pytest.mark.slow
 def test_the_neo_hookean_table_is_that_of_a_layer_of_five_radii():
-    """Within 0.01 of the axisymmetric solution."""
+    """The table is within 0.007 of the axisymmetric solution: 4.6 and 10.6 % against 5 and 10."""
     first, shear = lame(np.array([1e3]), 0.45)[0]
     law = Hyperelastic.neo_hookean(shear, bulk_Pa=first + 2.0 / 3.0 * shear)
     depths, errors = np.array(LINEAR_ERROR).T
@@ -53,7 +53,7 @@ def test_the_neo_hookean_table_is_that_of_a_layer_of_five_radii():
     linear = press_forces(mesh, LinearLaw(first, shear), depths)
     found = 1.0 - linear / press_forces(mesh, law, depths)
     print(np.round(100.0 * found, 2))
-    assert found == pytest.approx(errors, abs=0.01)
+    assert found == pytest.approx(errors, abs=0.007)
 
 
 @pytest.mark.slow

@@ -126,6 +126,13 @@ def test_a_study_refuses_a_changed_predictor_of_a_script(fading, monkeypatch, tm
     monkeypatch.setattr(registration, "getsource", lambda make: "class Fading: changed = True")
     with pytest.raises(InputError, match=r"method fading must come from the registered code"):
         folder.begin(replace(plan, trials=2))
+
+    def unreadable(make):
+        raise OSError
+
+    monkeypatch.setattr(registration, "getsource", unreadable)
+    with pytest.raises(InputError, match="got code without a source file"):
+        folder.begin(replace(plan, trials=2))
     plan_text.cache_clear()
 
 

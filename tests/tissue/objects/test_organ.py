@@ -349,7 +349,15 @@ def test_modulus_far_from_that_of_liver_is_noted(modulus_kPa, is_noted):
 
 @pytest.mark.parametrize(
     ("edge_mm", "order", "key"),
-    [(2.9, 1, None), (3.5, 1, "contact area"), (3.5, 2, None), (4.5, 1, "mesh")],
+    [
+        (1.7, 1, None),
+        (2.0, 1, "contact area"),
+        (2.9, 1, "contact area"),
+        (3.5, 2, None),
+        (3.7, 2, "contact area"),
+        (4.5, 1, "mesh"),
+        (4.5, 2, "mesh"),
+    ],
 )
 def test_edges_that_are_too_long_for_the_area_or_the_force_are_noted(edge_mm, order, key):
     leg = 1e-3 * edge_mm / np.sqrt(2.0)

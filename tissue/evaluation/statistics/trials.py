@@ -67,6 +67,8 @@ class Cells:
 class TrialTable:
     """Trials of a study, sorted by task, group, user, trial and method.
 
+    Use `from_rows`, which sorts and checks the rows. The constructor does neither.
+
     Attributes
     ----------
     task, group, user, method

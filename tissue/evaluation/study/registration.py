@@ -195,8 +195,10 @@ def require_unchanged(folder: Path, held: list[Registration], plan: Plan) -> Non
             )
     newest = tomllib.loads((folder / str(held[-1]["file"])).read_text("utf-8"))
     recorded = newest["design"].get("packages", {})
-    for method, package in packages_of(plan).items():
-        if recorded.get(method, package) != package:
+    found = packages_of(plan)
+    for method in sorted(recorded.keys() & set(plan.methods)):
+        package = found.get(method, "code without a source file")
+        if recorded[method] != package:
             raise InputError(
                 f"method {method}",
                 f"come from the registered code ({recorded[method]})",

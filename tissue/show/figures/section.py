@@ -411,9 +411,7 @@ ACROSS = 200
 """Number of points along each side of a section at which distances are computed."""
 
 
-def shown_mm(
-    run: Run, section: Section, near: Closest | None = None
-) -> tuple[float, float, float, float]:
+def shown_mm(run: Run, section: Section, near: Closest | None) -> tuple[float, float, float, float]:
     """Return the drawn extent of a section, (u0, u1, v0, v1) [mm].
 
     Without protected structures, the whole section is drawn. Otherwise, the extent is that of the

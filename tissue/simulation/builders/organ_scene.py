@@ -15,7 +15,13 @@ from meshes.base.text_tables import shown
 from meshes.paths.toolpath import kept_corners
 from meshes.tets.tetrahedra import TetMesh
 from tissue.materials.scene_constants import Materials
-from tissue.models.organ.probe import CylinderProbe, ProbeShape, ShellProbe, SphereProbe
+from tissue.models.organ.probe import (
+    AREA_EDGE,
+    CylinderProbe,
+    ProbeShape,
+    ShellProbe,
+    SphereProbe,
+)
 from tissue.models.tissue_model import WallModel
 from tissue.motion.motion import Motion
 from tissue.scene.coupling import WallAnatomy
@@ -208,12 +214,14 @@ def _area_note(
     near = corners_m[below_m <= max(0.5 * radius_m, below_m.min())]
     # at the spacing of the contact points, longer edges are divided, and their corners have no area
     apart_m = float(np.linalg.norm(near - np.roll(near, 1, axis=1), axis=2).max()) / order
-    if apart_m <= 0.5 * radius_m:
+    limit_m = AREA_EDGE * radius_m
+    if apart_m <= limit_m:
         return {}
+    wanted_m = edge_m * limit_m / apart_m
     return {
-        "contact area": "contact_mm2 is too small: nodes under the ball are up to "
-        f"{1e3 * apart_m:.3g} mm apart, and the ball has a radius of {1e3 * radius_m:.3g} mm. Set "
-        f"anatomy.touch_edge_mm to {0.5e3 * edge_m:.3g} or less"
+        "contact area": "contact_mm2 may be wrong by 10 % or more: nodes under the ball are "
+        f"up to {1e3 * apart_m:.3g} mm apart, and the ball has a radius of {1e3 * radius_m:.3g} "
+        f"mm. Set anatomy.touch_edge_mm to {1e3 * wanted_m:.2g} or less"
     }
 
 
