@@ -35,7 +35,7 @@ from tissue.cli.serve import serve
 from tissue.cli.stability import stability
 from tissue.cli.study import study
 from tissue.cli.sweep import sweep
-from tissue.cli.terminal import console, problems
+from tissue.cli.terminal import console, pending_notes, print_notes, problems
 from tissue.cli.train import train
 from tissue.system.child import HelperLostError
 from tissue.system.owned_folder import anything_claimed
@@ -187,9 +187,10 @@ def main() -> NoReturn:
 def _plain_warnings() -> Iterator[None]:
     """Show warnings of this program as one line, without the code location.
 
-    Notes on keys without effect are shown after the command, and not together with an error.
+    Notes on keys without effect are shown after the command, unless the command has shown them by
+    `print_notes`. They are not shown if the command ends with an error.
     """
-    notes: list[str] = []
+    pending_notes.clear()
     with warnings.catch_warnings():
         others = warnings.showwarning
 
@@ -197,7 +198,7 @@ def _plain_warnings() -> Iterator[None]:
             """Print a warning of this program; pass other warnings to the interpreter."""
             # compared by name, since help does not import their modules
             if category.__name__ == "DroppedKeyWarning":
-                return notes.append(str(message))
+                return pending_notes.append(str(message))
             if category.__name__ not in ("PluginWarning", "OldSceneWarning", "BreachWarning"):
                 return others(message, category, *where, **more)
             from rich.markup import escape
@@ -210,8 +211,7 @@ def _plain_warnings() -> Iterator[None]:
         finally:
             # A command without an error ends with SystemExit.
             if not isinstance(sys.exception(), Exception):
-                for note in notes:
-                    problems.print(f"note: {note}")
+                print_notes()
 
 
 def _print_offered() -> None:

@@ -19,6 +19,7 @@ from tissue.cli.terminal import (
     Texts,
     console,
     left_out,
+    print_notes,
     print_table,
 )
 from tissue.system.progress import progress
@@ -276,6 +277,7 @@ def run(
         if how is None:
             finished = simulate(loaded, **options)
         else:
+            print_notes()
             console.print(f"live: {how.mover(loaded)[1]}; Ctrl-C ends it")
             finished = simulate_live(loaded, how, **options)
     simulated = perf_counter()

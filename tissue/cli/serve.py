@@ -2,7 +2,7 @@
 
 import signal
 
-from tissue.cli.terminal import Flag, Overrides, Whole, console, left_out, problems
+from tissue.cli.terminal import Flag, Overrides, Whole, console, left_out, print_notes, problems
 
 
 def serve(
@@ -59,6 +59,7 @@ def serve(
     except KeyboardInterrupt as stopped:
         stopped.args = ("stopped before the server was ready",)
         raise
+    print_notes()
     for about, note in loop.notes.items():
         console.print(f"{about}: {note}", markup=False)
 

@@ -27,6 +27,15 @@ class _Terminal(Console):
 
 console = _Terminal(emoji=False, markup=False)
 problems = _Terminal(stderr=True, emoji=False, markup=False)
+pending_notes: list[str] = []
+"""Notes that are not yet printed."""
+
+
+def print_notes() -> None:
+    """Print each pending note once."""
+    for note in dict.fromkeys(pending_notes):
+        problems.print(f"note: {note}")
+    pending_notes.clear()
 
 
 def whole(_: object, tokens: Sequence[Token]) -> int:

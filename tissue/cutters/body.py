@@ -7,63 +7,15 @@ the tool.
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from math import ceil, cos, pi
+from math import cos
 
 import numpy as np
 
-from meshes.base.arrays import Array, Int32s, Ints, lattice
-from tissue.cutters.cutter import spiral
+from meshes.base.arrays import Array, Int32s, Ints
 from tissue.cutters.profile import Arc, Line, Piece, Profile
 
-ON_SURFACE = 3000
-INSIDE = 1000
-"""Approximate largest number of points inside a tool that `body_points` returns.
-
-The number is chosen for pictures. `ON_SURFACE` is the corresponding number for points on the
-surface.
-"""
 CONVEX = 1e-9
 """Sine of a right turn of an outline below which the turn counts as a rounding error."""
-
-
-def body_points(profile: Profile, *, spacing_m: float) -> Array:
-    """Return points [m], shape (n, 3), of a body of revolution for pictures and bounding boxes.
-
-    The origin is at the tip. The points lie on the cutting and the smooth surface up to the top of
-    the profile, and on a lattice inside. They also lie on each circle around the axis at which the
-    outline has a corner. The distance between points on the surface is `spacing_m`, or larger to
-    limit their number to about `ON_SURFACE`.
-    """
-    spacing = max(spacing_m, (sum(piece.area_m2 for piece in profile.pieces) / ON_SURFACE) ** 0.5)
-    parts = [spiral(piece, spacing_m=spacing)[0] for piece in profile.pieces]
-    for radius, height in [
-        *profile.edges.tolist(),
-        *((0.0, height) for height in profile.height_range_m),
-    ]:
-        # A ring on the axis is one point.
-        parts.append(_ring(radius, height, max(ceil(2.0 * pi * radius / spacing), 1)))
-    return np.concatenate([*parts, _inside(profile, spacing)])
-
-
-def _ring(radius: float, height: float, count: int) -> Array:
-    """Return evenly spaced points on a circle around the axis."""
-    turn = np.arange(count) * (2.0 * pi / count)
-    circle = radius * np.column_stack([np.cos(turn), np.sin(turn)])
-    return np.column_stack([circle, np.full(count, height)])
-
-
-def _inside(profile: Profile, spacing: float) -> Array:
-    """Return points of a cubic lattice inside a profile.
-
-    Each point is deeper below the surface than half the spacing.
-    """
-    reach = profile.radius_m
-    (low, high) = profile.height_range_m
-    pitch = max(2.0 * spacing, (pi * reach**2 * (high - low) / INSIDE) ** (1.0 / 3.0))
-    across = pitch * np.arange(-ceil(reach / pitch), ceil(reach / pitch) + 1)
-    grid = lattice(across, across, np.arange(low, high, pitch))
-    half = np.column_stack([np.hypot(grid[:, 0], grid[:, 1]), grid[:, 2]])
-    return grid[profile.distance(half)[0] < -0.5 * pitch]
 
 
 def outline_table(profile: Profile) -> dict[str, Array | Ints]:

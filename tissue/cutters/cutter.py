@@ -174,6 +174,13 @@ class Cutter:
         # built-in scenes. This is much less than the margin of the voxels.
         return self.shell(spacing_m=self.profile.radius_m / 8.0, cutting=cutting).points_m
 
+    def coarse_surface_m(self) -> Array:
+        """Return a few points of the cutting surface, then of the smooth surface [m], shape (n, 3).
+
+        See `coarse_shell_m`.
+        """
+        return np.concatenate([self.coarse_shell_m(), self.coarse_shell_m(cutting=False)])
+
     def load_factors(self, radii_m: Array) -> Array:
         """Return factors of the tangential and the radial load, shape (n, 2).
 

@@ -378,6 +378,7 @@ class BoneEnvironment(ContactEnvironment):
         model = bone.model(self.cutter, shell_spacing_m=volume.spacing_m, cores=1)
         self._uncut = model.state()
         self._material = model.store.material.numpy()
+        self._uncut_content = model.store.remaining.numpy().copy()
         return model
 
     def restore_bone(self, density_kg_m3: Mapping[str, float]) -> None:

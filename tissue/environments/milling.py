@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from meshes.base.arrays import Array, Singles
+from meshes.base.arrays import Array, Ints, Singles
 from meshes.voxels.volume import VoxelVolume, density_volume
 from tissue.cutters import ball_burr
 from tissue.environments.environment import LAYER_BITS, BoneEnvironment, Entry
@@ -117,6 +117,17 @@ class Milling(BoneEnvironment):
     def _target_mm3(self) -> float:
         return 1e9 * float(self.model.start_m3[0])
 
+    @cached_property
+    def _target(self) -> tuple[Ints, Array]:
+        """Indices of the target's voxels in the store, and centres of these voxels [m]."""
+        store = self.model.store
+        # Voxels of the target: the first layer, full before any cut. A full voxel has 65,535.
+        full = self._uncut_content == np.iinfo(np.uint16).max
+        chosen = full & (self._material & LAYER_BITS == 0)
+        places, _ = voxels_of(store.places, np.arange(len(chosen)), chosen.astype(np.int64))
+        centres_m = store.grid.origin_m + store.grid.spacing_m * (places + 0.5)
+        return np.flatnonzero(chosen), centres_m
+
     @property
     def tip_mm(self) -> Array:
         """Position of the tip of the burr [mm], shape (3,)."""
@@ -124,13 +135,6 @@ class Milling(BoneEnvironment):
 
     def _prepare(self) -> None:
         self.restore_bone(dict.fromkeys(LAYERS, self.drawn["density_kg_m3"]))
-        store = self.model.store
-        # Voxels of the target: the first layer, full before any cut. A full voxel has 65,535.
-        full = store.remaining.numpy() == np.iinfo(np.uint16).max
-        chosen = full & (self._material & LAYER_BITS == 0)
-        places, _ = voxels_of(store.places, np.arange(len(chosen)), chosen.astype(np.int64))
-        self._target = np.flatnonzero(chosen)
-        self._centres_m = store.grid.origin_m + store.grid.spacing_m * (places + 0.5)
 
     def begin(self, motion: ToolMotion) -> None:
         """Place the tip at the position that was drawn at random."""
@@ -164,9 +168,10 @@ class Milling(BoneEnvironment):
         return self._shares()[0] >= DONE
 
     def _observe(self) -> Singles:
-        stored = self.model.store.remaining.numpy().ravel()[self._target]
+        indices, centres_m = self._target
+        stored = self.model.store.remaining.numpy().ravel()[indices]
         # A voxel that is at least half full belongs to the rest of the target.
-        left = self._centres_m[stored > np.iinfo(np.uint16).max // 2]
+        left = centres_m[stored > np.iinfo(np.uint16).max // 2]
         away = left - self.tool.tip_m
         nearest = (
             1e3 * away[np.einsum("ij,ij->i", away, away).argmin()] if len(left) else np.zeros(3)

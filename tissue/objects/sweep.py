@@ -2,6 +2,7 @@
 
 import json
 import re
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -24,7 +25,8 @@ from tissue.objects.plots import Point, plot_figures
 from tissue.objects.run import Run
 from tissue.objects.simulate import simulate
 from tissue.objects.trace import needed
-from tissue.scene.load import changed, load_scene
+from tissue.scene.load import DroppedKeyWarning, changed_scene, load_scene
+from tissue.scene.part import removal_of
 from tissue.scene.scene import Scene
 from tissue.show.figures.figure import save
 from tissue.simulation.builders.arguments import require_files, stated
@@ -362,7 +364,10 @@ def planned(
         values = dict(zip(swept, combination, strict=True))
         each = SweptRun(name, values, out / name)
         try:
-            new = changed(base, fixed | values, warns=True)
+            new, dropped = changed_scene(base, fixed | values)
+            if dropped:
+                # Level 4 is the caller of `sweep`, which has a decorator.
+                warnings.warn(removal_of(dropped), DroppedKeyWarning, stacklevel=4)
             require_files(new)
             found[name] = replace(each, scene=new)
         except InputError as refused:

@@ -19,7 +19,7 @@ from meshes.base.text_tables import DEEPEST, read_text, read_toml, require_shall
 from meshes.base.whole_file import package_version, require_version
 from tissue.materials.scene_constants import Materials
 from tissue.scene.messages import error_of, idle_keys
-from tissue.scene.part import is_file_key
+from tissue.scene.part import is_file_key, removal_of
 from tissue.scene.plugins import refusal
 from tissue.scene.registry import CUTTERS, PERCEPTIONS, SCENES
 from tissue.scene.scene import Scene
@@ -221,7 +221,10 @@ def load_scene(
     if may_be_idle:
         for key in _settled(table)[1]:
             _drop(table, key)
-    scene = _replaced(table, overrides or {}, live=live, warns=True)
+    scene, dropped = _replaced(table, overrides or {}, live=live)
+    if dropped:
+        # Level 3 is the caller of `load_scene`, which has a decorator.
+        warnings.warn(removal_of(dropped), DroppedKeyWarning, stacklevel=3)
     # A file that cannot be used is refused here, not when the run reads its constants. The scene of
     # a saved run is loaded without this check, because its file may no longer exist.
     if scene.materials and not was_saved and not may_be_idle:
@@ -258,31 +261,31 @@ def saved_text(scene: Scene) -> str:
     return f'format = {FORMAT}\ntissue = "{package_version()}"\n{scene.to_toml()}'
 
 
-def changed(scene: Scene, overrides: Mapping[str, object], *, warns: bool = False) -> Scene:
-    """Return a copy of a scene with some values replaced, keyed by dotted key.
+def changed(scene: Scene, overrides: Mapping[str, object]) -> Scene:
+    """Return a copy of a scene with some values replaced, as `changed_scene` does."""
+    return changed_scene(scene, overrides)[0]
 
-    The value None resets a key to its default. With `warns`, a warning names the removed keys.
+
+def changed_scene(scene: Scene, overrides: Mapping[str, object]) -> tuple[Scene, set[str]]:
+    """Return a copy of a scene with some values replaced, keyed by dotted key, and removed keys.
+
+    The value None resets a key to its default.
 
     Raises
     ------
     InputError
         If the changed scene is invalid.
     """
-    return _replaced(scene.model_dump(exclude_unset=True), overrides, warns=warns)
+    return _replaced(scene.model_dump(exclude_unset=True), overrides)
 
 
 def _replaced(
-    table: dict[str, Any],
-    overrides: Mapping[str, object],
-    *,
-    live: bool = False,
-    warns: bool = False,
-) -> Scene:
-    """Return the scene of a table after some values are replaced, keyed by dotted key.
+    table: dict[str, Any], overrides: Mapping[str, object], *, live: bool = False
+) -> tuple[Scene, set[str]]:
+    """Return the scene of a table after some values are replaced, and the removed keys.
 
-    Keys of the table that an override makes ineffective are removed. With `warns`, a warning names
-    these keys. An error is raised for keys that had no effect before, and for overrides that have
-    no effect.
+    Keys of the table that an override makes ineffective are removed. An error is raised for keys
+    that had no effect before, and for overrides that have no effect.
     """
     try:
         require_shallow(dict(overrides))
@@ -333,26 +336,21 @@ def _replaced(
             for asked in full
         )
 
-    return _scene(placed, keep=stays, warns=warns)
+    return _scene(placed, keep=stays)
 
 
 def _scene(
-    table: Mapping[str, Any], keep: Callable[[str], bool] = lambda key: True, *, warns: bool = False
-) -> Scene:
-    """Return the scene of a table; remove keys without effect that `keep` does not accept.
+    table: Mapping[str, Any], keep: Callable[[str], bool] = lambda key: True
+) -> tuple[Scene, set[str]]:
+    """Return the scene of a table, and the removed keys.
 
-    With `warns`, a warning names the removed keys. If the table is invalid, the error for the first
-    fault is raised.
+    Keys without effect that `keep` does not accept are removed. If the table is invalid, the error
+    for the first fault is raised.
     """
     found, dropped = _settled(table, keep)
     if isinstance(found, InputError):
         raise found
-    if warns and dropped:
-        keys = ", ".join(sorted(dropped))
-        sentence = f"the changes leave {keys} of the scene without effect"
-        # Level 5 is the caller of `load_scene`, which has a decorator.
-        warnings.warn(sentence, DroppedKeyWarning, stacklevel=5)
-    return found
+    return found, dropped
 
 
 def _settled(

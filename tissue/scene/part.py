@@ -5,7 +5,7 @@ annotate keys whose allowed values come from a registry.
 """
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Generic, NamedTuple, TypeVar, get_args
@@ -335,6 +335,13 @@ class Idle(NamedTuple):
 
     where: str
     remedy: str
+
+
+def removal_of(keys: Collection[str]) -> str:
+    """Return the note on keys that were removed because changes made them ineffective."""
+    names = ", ".join(sorted(keys))
+    has, was = ("has", "was") if len(keys) == 1 else ("have", "were")
+    return f"{names} of the scene {has} no effect after the changes and {was} removed"
 
 
 def is_given(part: "Part", name: str) -> bool:

@@ -45,9 +45,10 @@ scanned molar.
 STEADY_SCALE = 0.2
 """Ratio of the suggested motion scale to that of a run whose tool left its path.
 
-In a scanned molar with a bur of 1 mm and a force scale of 0.02, a simulated expert left the path by
-0.64 mm with a motion scale of 1, and by 0.18 mm with 0.2.
+The value was chosen by judgement.
 """
+SMALLEST_SCALE = 0.01
+"""Smallest motion scale that a scene may have, see `Coupling.motion_scale`."""
 RISING_S = 0.1
 """Time before the end of a run [s] in which a largest temperature counts as still rising.
 
@@ -69,7 +70,7 @@ The limit excludes a tool that leaves the bone sideways.
 def findings(
     scene: Scene, parts: Parts, trace: Table, *, path_s: float
 ) -> tuple[dict[str, Any], Events]:
-    """Return the entries of the summary on the findings of a run, and its break-throughs as events.
+    """Return the summary entries for the findings of a run, and the break-throughs as events.
 
     Notes on the findings are added to the notes of `parts`. For ``path_s``, see `shortfalls`.
     """
@@ -229,18 +230,21 @@ def path_note(scene: Scene, parts: Parts, apart_mm: dict[str, float] | None) -> 
     if is_far:
         note += _force_scale_note(scene, apart_mm["largest"], radius_mm)
     scale = scene.motion_scale
-    note += (
-        f". With a smaller coupling.motion_scale, such as {STEADY_SCALE * scale:g} instead of "
-        f"{scale:g}, the tool moves less than the hand and stays closer to the path"
-    )
+    steadier = max(STEADY_SCALE * scale, SMALLEST_SCALE)
+    if steadier < scale:
+        note += (
+            f". With a smaller coupling.motion_scale, such as {steadier:g} instead of {scale:g}, "
+            "the tool moves less than the hand and stays closer to the path"
+        )
     return {"distance from the path": note}
 
 
 def _too_close_mm(parts: Parts, apart_mm: float) -> dict[str, float]:
-    """Return the smallest distances [mm] to structures that an error of the path can explain.
+    """Return distances [mm] to structures that the tool came too close to because it left its path.
 
-    A structure is included if the tool breached it or its margin, and came too close by at most
-    ``apart_mm``, the largest distance from the path [mm].
+    The distances are the smallest distances of the run. A structure is included if the tool
+    breached it or its margin, and came too close by at most ``apart_mm``, the largest distance from
+    the path [mm].
     """
     found = {}
     kept = {} if parts.keep_clear is None else parts.keep_clear.summary()

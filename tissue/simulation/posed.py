@@ -88,7 +88,7 @@ class Region:
         high[2] = np.inf
         # The copies of a path lie across the tool's axis, so they are not deeper than the path.
         deeper = "give the motion of the scene a deeper path, because reach_mm adds no depth"
-        # 1e-6 m allows for a program that rounds its poses, for example to six digits in mm.
+        # 1e-6 m allows for a program that rounds positions to 0.001 mm.
         return cls(rotation, tips.min(axis=0) - 1e-6, high + 1e-6, deeper)
 
     def remedies(self, tip_m: Array) -> list[str]:

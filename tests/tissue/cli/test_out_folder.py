@@ -20,8 +20,8 @@ def test_a_folder_with_another_run_is_kept_without_force(refused, command, here)
     (here / "first" / "trace.txt").write_text("notes of a person")
     before = {path: path.read_bytes() for path in (here / "first").rglob("*") if path.is_file()}
     assert refused(*quick, "--out", "first") == (
-        "out must not hold another run, got first. Pass --overwrite (overwrite=True in Python) to replace it "
-        "or choose another --out"
+        "out must not hold another run, got first. Pass --overwrite (overwrite=True in Python) to "
+        "replace it or choose another --out"
     )
     assert {
         path: path.read_bytes() for path in (here / "first").rglob("*") if path.is_file()

@@ -17,7 +17,7 @@ from tissue.cli.sweep import parse_values
 from tissue.objects import sweep as module
 from tissue.objects.html import figures_of, intervals_of
 from tissue.objects.sweep import SweptRun
-from tissue.scene.load import changed, saved_text
+from tissue.scene.load import DroppedKeyWarning, changed, saved_text
 
 QUICK = {"voxels.spacing_mm": 0.5, "duration_s": 0.05}
 
@@ -42,6 +42,16 @@ def out(tmp_path):
 
 def plan(scene, changes):
     return module.planned(scene, changes, Path("out"))
+
+
+def test_the_warning_on_a_removed_key_names_the_line_that_starts_the_sweep(out):
+    changes = {"device": ["touch"], "motion.axis": [[0.0, 0.0, 1.0]], "materials": ["none.toml"]}
+    with (
+        pytest.warns(DroppedKeyWarning, match="^motion.max_feed_mm_s of the scene has") as warned,
+        pytest.raises(InputError, match="materials must exist"),
+    ):
+        tissue.sweep(tissue.load_scene("pedicle"), changes, out=out)
+    assert [each.filename for each in warned] == [__file__]
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,14 @@ import tomli_w
 
 import tissue.scene.scene
 from tissue import InputError, load_scene, scene_names, scene_text
-from tissue.scene.load import OldSceneWarning, parse_override, parse_overrides, saved_text
+from tissue.scene.load import (
+    DroppedKeyWarning,
+    OldSceneWarning,
+    parse_override,
+    parse_overrides,
+    saved_text,
+)
+from tissue.scene.part import removal_of
 
 
 @pytest.mark.parametrize("name", scene_names())
@@ -24,6 +31,16 @@ def test_overrides_replace_single_entries():
     assert (scene.voxels.spacing_mm, scene.duration_s, scene.tool.flutes) == (0.2, 7, 4)
     assert scene.motion == plain.motion
     assert scene.tool.model_copy(update={"flutes": plain.tool.flutes}) == plain.tool
+
+
+def test_the_warning_on_a_removed_key_names_the_line_that_loads_the_scene():
+    about = "^motion.max_feed_mm_s of the scene has no effect after the changes and was removed$"
+    with pytest.warns(DroppedKeyWarning, match=about) as warned:
+        load_scene("pedicle", {"device": "touch"})
+    assert [each.filename for each in warned] == [__file__]
+    assert removal_of({"b.d", "a.c"}) == (
+        "a.c, b.d of the scene have no effect after the changes and were removed"
+    )
 
 
 @pytest.mark.parametrize(

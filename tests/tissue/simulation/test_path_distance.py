@@ -63,6 +63,10 @@ def test_a_hand_too_close_to_a_structure_gets_a_note_with_a_smaller_motion_scale
     assert "left the path by 0.64 mm. The smallest distance to pulp was 0.740 mm. With a" in note
     assert "coupling.motion_scale, such as 0.1 instead of 0.5" in note
     assert "force_scale" not in note
+    for stated, suggested in ((0.02, "such as 0.01 instead of 0.02"), (0.01, None)):
+        slow = tissue.load_scene("molar", {"device": "touch", "coupling.motion_scale": stated})
+        (note,) = path_note(slow, parts, {"largest_in_contact": 0.64, "largest": 0.64}).values()
+        assert suggested in note if suggested else "motion_scale" not in note
     # the path itself must be closer than 1 mm if the hand was only 0.2 mm away from it
     assert path_note(scene, parts, {"largest_in_contact": 0.2, "largest": 0.2}) == {}
     kept["pulp"] = {"least_distance_mm": 0.01}

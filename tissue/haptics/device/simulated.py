@@ -329,15 +329,20 @@ class SimulatedDevice(ComputedDevice):
         # Means over the tick: the target moves half a step, and the position is the mean of start
         # and end.
         half = 0.5 * self._step
-        states = where, self.translation.position, went, self.translation.velocity
-        x, y, z = [
-            rate * (damper * (end - start) + mass * (fast - slow))
-            - (pull + spring * (half * aim - 0.5 * (start + end)))
-            for pull, aim, start, end, slow, fast in zip(
-                external, aim_velocity_m_s, *states, strict=True
-            )
-        ]
-        self.hand_force_N = x, y, z
+        (x0, y0, z0) = where
+        (x1, y1, z1) = self.translation.position
+        (u0, v0, w0) = went
+        (u1, v1, w1) = self.translation.velocity
+        (aim_x, aim_y, aim_z) = aim_velocity_m_s
+        stretch_x = half * aim_x - 0.5 * (x0 + x1)
+        stretch_y = half * aim_y - 0.5 * (y0 + y1)
+        stretch_z = half * aim_z - 0.5 * (z0 + z1)
+        pull_x, pull_y, pull_z = _combined(1.0, external, spring, (stretch_x, stretch_y, stretch_z))
+        self.hand_force_N = (
+            rate * (damper * (x1 - x0) + mass * (u1 - u0)) - pull_x,
+            rate * (damper * (y1 - y0) + mass * (v1 - v0)) - pull_y,
+            rate * (damper * (z1 - z0) + mass * (w1 - w0)) - pull_z,
+        )
 
     def _read_position(self) -> Triple:
         """Return the position that the encoders read [m]."""

@@ -41,7 +41,7 @@ class Spread(NamedTuple):
     """Median and 99th percentile of measured times [s]; nan without a measurement."""
 
     median_s: float
-    most_s: float
+    p99_s: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,7 +227,7 @@ def write_measured(path: Path, name: str, test: SelfTest) -> None:
     """
     most = 1.0 / TICK_S
     rate = min(max(test.rate_Hz, SLOWEST_HZ), most)
-    low = min(max(1.0 / test.interval.most_s, SLOWEST_HZ), most)
+    low = min(max(1.0 / test.interval.p99_s, SLOWEST_HZ), most)
     rate = most if rate >= EVERY_TICK * most else rate
     delay = min(test.delay.median_s, LONGEST_S)
     high = min(max(test.delay), LONGEST_S)

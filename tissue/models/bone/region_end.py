@@ -59,7 +59,7 @@ class RegionEnd:
         self._margin_mm = margin_mm
         self._tissue = tissue
         self._reporters = reporters
-        points_m = np.concatenate([cutter.coarse_shell_m(cutting=each) for each in (True, False)])
+        points_m = cutter.coarse_surface_m()
         self._points_m = points_m[:: -(-len(points_m) // MOST_POINTS)]
         along_m = self._points_m[:, 2]
         self._ends_m = along_m.min(), along_m.max()

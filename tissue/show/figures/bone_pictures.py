@@ -33,7 +33,7 @@ from tissue.simulation.bone_surface import (
     with_depth,
     with_layers,
 )
-from tissue.simulation.builders.parts import reach
+from tissue.simulation.builders.voxels import requested_region
 from tissue.simulation.run import Run
 
 if TYPE_CHECKING:
@@ -83,8 +83,7 @@ def draw_before_after(run: Run, path: Path) -> str | None:
     ends = np.array(list(layers.values()))
     before = with_layers(bone_surface(volume, volume.fraction), volume)
     after = with_layers(bone_surface(volume, remaining), volume)
-    margin_m = 1e-3 * run.scene.voxels.margin_mm
-    is_end = cut_out(after, volume, reach(run.cutter, run.parts.motion, margin_m))
+    is_end = cut_out(after, volume, requested_region(run.scene, run.cutter, run.parts.motion))
 
     def make() -> "list[tuple[pyvista.PolyData, Camera]]":
         """Return the bone before and after the run, seen by the same camera."""

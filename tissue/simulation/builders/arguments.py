@@ -18,7 +18,7 @@ from meshes.surfaces.triangle_files import read_triangles
 from meshes.tets.files import require_millimetres
 from meshes.tooth.layers import TOOTH_LAYERS
 from meshes.vertebra.lumbar import VERTEBRA_LAYERS
-from tissue.materials.constants import CUT_AS, constants, listed
+from tissue.materials.constants import CUT_AS, Constant, constants, listed
 from tissue.materials.scene_constants import Materials
 from tissue.scene.anatomy import Tooth
 from tissue.scene.load import names_file
@@ -36,7 +36,23 @@ LAYERS = (*GLENOID_LAYERS, *VERTEBRA_LAYERS, *TOOTH_LAYERS)
 A file of material constants may name any of these layers, even layers that the scene does not have.
 """
 UNUSUAL = 10.0
-"""Ratio beyond the cited range of a constant at which a run notes that the unit may be wrong."""
+"""Ratio beyond the cited range of a constant at which a run notes that the unit may be wrong.
+
+The value was chosen by judgement.
+"""
+
+
+def unusual_modulus(key: str, value_kPa: float, cited: Constant, material: str) -> str:
+    """Return a note if a modulus is far outside the cited range of a material, else no text.
+
+    `key` is the key or argument with which the modulus was given.
+    """
+    if cited.low / UNUSUAL <= value_kPa <= UNUSUAL * cited.high:
+        return ""
+    return (
+        f"Cited moduli of {material} are {cited.low:g} to {cited.high:g} kPa: is {key} = "
+        f"{value_kPa:g} in kPa?"
+    )
 
 
 def require_known(options: Mapping[str, object], table: type, *, of: str) -> None:

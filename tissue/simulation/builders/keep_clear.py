@@ -12,7 +12,6 @@ from meshes.base.progress import Progress
 from meshes.base.text_tables import shown
 from meshes.shapes.sdf import Shape, shape_triangles
 from meshes.voxels.mesh_sampling import triangle_distance
-from tissue.cutters.body import body_points
 from tissue.models.bone.region_end import RegionEnd
 from tissue.models.keep_clear import (
     APART_M,
@@ -33,11 +32,6 @@ from tissue.simulation.builders.voxels import is_procedural, solid_of, structure
 
 MARGIN_M = 10e-3
 """Assumed margin around the scripted motion [m], because a hand may leave the path."""
-POINTS_ACROSS = 12.0
-"""Tool radius divided by the distance between points on the tool's surface.
-
-These points determine the box that the tool can reach. The value was chosen by judgement.
-"""
 
 
 def watch(scene: Scene, parts: Parts, *, report: Progress) -> None:
@@ -80,8 +74,7 @@ def _keep_clear(
     assert parts.cutter is not None
     profile = parts.cutter.profile
     placement = parts.placement
-    points = body_points(profile, spacing_m=profile.radius_m / POINTS_ACROSS)
-    low, high = swept_box(points, parts.motion, MARGIN_M)
+    low, high = swept_box(parts.cutter.coarse_surface_m(), parts.motion, MARGIN_M)
     distances: dict[str, Distance] = {}
     found: dict[str, Structure] = {}
     shapes = require_structures(wanted, anatomy)
@@ -109,8 +102,8 @@ def _keep_clear(
     if any(len(structure.faces) > MANY_TRIANGLES for structure in found.values()):
         deep = f" ({1e3 * (slack_m + DEEP_OVERLAP_M):.2g} mm if it is more than 1 mm deep)"
     parts.notes["keep clear"] = (
-        "no distance in the trace is too large. A distance is too small by at most "
-        f"{1e3 * (slack_m + APART_M):.2g} mm, and in a breach by at most "
+        "distances in the trace are lower bounds. The error is at most "
+        f"{1e3 * (slack_m + APART_M):.2g} mm, and in a breach at most "
         f"{1e3 * (slack_m + OVERLAP_M):.2g} mm{deep}. Both errors are larger if tens of thousands "
         "of triangles are equally near"
     )

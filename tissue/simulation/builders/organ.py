@@ -36,7 +36,7 @@ from tissue.scene.organ import (
 from tissue.scene.part import is_given
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
-from tissue.simulation.builders.arguments import UNUSUAL
+from tissue.simulation.builders.arguments import unusual_modulus
 from tissue.simulation.builders.organ_given import SoftMaterial, hold_of
 from tissue.simulation.builders.parts import FILE_WORDS
 
@@ -266,11 +266,8 @@ def _modulus_note(
             f"; {organ.fibre_modulus_ratio:g} times as stiff along its fibres, its bulk modulus "
             "as without them"
         )
-    if not modulus.low / UNUSUAL <= young_kPa <= UNUSUAL * modulus.high:
-        note += (
-            f". Cited moduli of {organ.material} are {modulus.low:g} to {modulus.high:g} kPa: is "
-            f"organ.young_kPa = {young_kPa:g} in kPa?"
-        )
+    if question := unusual_modulus("organ.young_kPa", young_kPa, modulus, organ.material):
+        note += f". {question}"
     return note
 
 

@@ -21,7 +21,7 @@ from meshes.voxels.mesh_sampling import nearest_on_triangles, triangle_distance
 from tissue.materials.constants import constants
 from tissue.scene.organ import LAW_SHAPES
 from tissue.scene.organ import Organ as LawTable
-from tissue.simulation.builders.arguments import UNUSUAL, require_known, stated, surface_of
+from tissue.simulation.builders.arguments import require_known, stated, surface_of, unusual_modulus
 from tissue.simulation.builders.organ_given import Hold, SoftMaterial, hold_of
 
 if TYPE_CHECKING:
@@ -278,24 +278,16 @@ def made_of(
         If the mesh does not have a named part, or the support is not found.
     """
     stated.material.moduli_kPa(mesh.part_names)
-    notes |= _modulus_note(stated.material.modulus_kPa)
+    modulus_kPa = stated.material.modulus_kPa
+    cited = constants("soft", "liver")["modulus_kPa"]
+    if question := unusual_modulus("modulus_kPa", modulus_kPa, cited, "liver"):
+        notes["modulus"] = f"{modulus_kPa:g} kPa. {question}"
     below = stated.held_below_mm
     hold, notes["held"] = hold_of(stated.held, below, mesh, points_mm)
     made = MadeOrgan(mesh, stated.material, hold, notes, surface, law=stated.law)
     with names_of_caller({"support": "held" if below is None else "held_below_mm"}):
         made.held  # noqa: B018 - what is not there is refused here
     return made
-
-
-def _modulus_note(modulus_kPa: float) -> dict[str, str]:
-    """Return a note if a modulus is far outside the range of liver."""
-    cited = constants("soft", "liver")["modulus_kPa"]
-    if cited.low / UNUSUAL <= modulus_kPa <= UNUSUAL * cited.high:
-        return {}
-    return {
-        "modulus": f"{modulus_kPa:g} kPa. Cited moduli of liver are {cited.low:g} to "
-        f"{cited.high:g} kPa: is modulus_kPa = {modulus_kPa:g} in kPa?"
-    }
 
 
 def size_note(volume_m3: float, scale_mm: float | None) -> dict[str, str]:

@@ -47,13 +47,10 @@ A robot may approach the bone from this distance. The limit is at least the size
 bone, so larger bones have a larger limit. The value was chosen by judgement.
 """
 MUCH_MORE = 2.0
-"""Ratio of shares above which a run suggests that quaternions are given as w, x, y, z.
+"""Ratio of two shares of the tool's surface inside the bone at the start.
 
-Both shares are the share of the tool's surface inside the bone at the start. The first share
-results from the order x, y, z, w, and the second share from the order w, x, y, z.
-
-The limit is larger than 1, because a tool that starts in contact overlaps some bone for both
-orders. The value is assumed.
+The ratio is that of quaternions read as (x, y, z, w) over quaternions read as (w, x, y, z). Above
+this ratio, a run suggests the second order. The value was chosen by judgement.
 """
 
 
@@ -169,15 +166,15 @@ def reach_of_tool(
 
     Parts of the smooth surface that never leave the guide hole, such as a peg, touch no bone.
     """
-    points = cutter.coarse_shell_m()
-    smooth = cutter.coarse_shell_m(cutting=False)
-    if guide_hole is not None and len(smooth):
+    points = cutter.coarse_surface_m()
+    if guide_hole is not None and cutter.has_smooth_surface:
         every = slice(None, None, len(motion.sweep_m()) // POSES_TRIED + 1)
-        stays = np.ones(len(smooth), bool)
+        # The points of the smooth surface are the last ones.
+        stays = np.arange(len(points)) >= len(cutter.coarse_shell_m())
         for tip, turn in zip(*poses_along(motion, every, POSES_TRIED), strict=True):
-            stays &= guide_hole.distance(tip + smooth @ turn.T) < 0.0
-        smooth = smooth[~stays]
-    return swept_box(np.concatenate([points, smooth]), motion, margin)
+            stays[stays] = guide_hole.distance(tip + points[stays] @ turn.T) < 0.0
+        points = points[~stays]
+    return swept_box(points, motion, margin)
 
 
 def swept_box(shell: Array, motion: Motion, margin: float) -> Corners:

@@ -74,13 +74,7 @@ def volume_of(
     spacing = scene.voxels.spacing_mm * 1e-3
     parameters = scene.bone
     hole = _guide_hole(scene, motion)
-    # A hand can press the peg against the hole, so the region contains all of the peg.
-    region = reach_of_tool(
-        cutter,
-        motion,
-        scene.voxels.margin_mm * 1e-3,
-        guide_hole=hole if scene.device is None else None,
-    )
+    region = requested_region(scene, cutter, motion)
     with names_of_anatomy(parameters):
         if isinstance(parameters, BlockImage) and parameters.is_whole:
             return whole_image(parameters, spacing_mm=scene.voxels.spacing_mm, notes=notes)
@@ -117,6 +111,13 @@ def volume_of(
     return _volumes.of(
         (parameters.model_dump_json(), spacing, low.tobytes(), high.tobytes(), *start), voxels
     )
+
+
+def requested_region(scene: Scene, cutter: Cutter, motion: Motion) -> Corners:
+    """Return the region for which voxels of bone are requested: lowest and highest corner [m]."""
+    # A hand can press the peg against the hole, so the region contains all of the peg.
+    hole = _guide_hole(scene, motion) if scene.device is None else None
+    return reach_of_tool(cutter, motion, 1e-3 * scene.voxels.margin_mm, guide_hole=hole)
 
 
 def is_procedural(parameters: CutAnatomy) -> bool:

@@ -228,7 +228,7 @@ class WindowProcess:
         self._shared = shared_tissue(parts)
         self._shared.publish(self.arrays, 0)
         self._reset = self._count("resets")
-        self._seen = self._count("pointer_turn")
+        self._seen = self._count(f"{self.request}_turn")
         self._missed = 0
         self._skipped_ms = 0.0
         self.arrays["runs"][0] += 1

@@ -5,6 +5,7 @@ bone's loss.
 """
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from meshes.base.progress import silent
@@ -55,6 +56,16 @@ def named(parts):
     ]
 
 
+def percent_in_block(cutter, tip_mm, rotation):
+    """Percentage of the cutting surface below the top face of the block and between its sides."""
+    shell = cutter.shell(spacing_m=cutter.profile.radius_m / 60.0)
+    points_mm = tip_mm + 1e3 * rotation.apply(shell.points_m)
+    length, width, height = MILLING["anatomy.size_mm"]
+    low = np.array([-0.5 * length, -0.5 * width, -height])
+    high = np.array([0.5 * length, 0.5 * width, 0.0])
+    return 100.0 * ((points_mm > low) & (points_mm < high)).all(axis=1).mean()
+
+
 def test_a_file_with_w_first_is_named_and_one_with_w_last_is_not(tmp_path):
     tip = np.array([-3.0, 0.0, -0.3])
     right, _ = replayed(poses(tmp_path / "right.csv", tip, TILTED))
@@ -62,7 +73,10 @@ def test_a_file_with_w_first_is_named_and_one_with_w_last_is_not(tmp_path):
     assert not named(right)
     (sentence,) = named(wrong)
     inside, by_other = (int(part.split()[-1]) for part in sentence.split("%")[:2])
-    assert 0 <= 2 * by_other < inside <= 100
+    x, y, z, w = TILTED.as_quat()
+    as_read = Rotation.from_quat([w, x, y, z])
+    assert inside == pytest.approx(percent_in_block(wrong.cutter, tip, as_read), abs=1.0)
+    assert by_other == pytest.approx(percent_in_block(wrong.cutter, tip, TILTED), abs=1.0)
 
 
 def test_a_tool_that_is_deep_in_either_order_is_not_named(tmp_path):
