@@ -34,11 +34,13 @@ def heat_flow(
     j: int,
     m: int,
 ):
-    """Compute the heat flow [W] from cell (i, j, m) to a neighbouring cell.
+    """Compute the heat flow [W] from the neighbouring cell (i, j, m) into a cell.
 
-    The neighbouring cell has the filled ``fraction`` and the temperature rise ``here`` [K].
+    ``fraction`` and ``here`` are the filled fraction and the temperature rise [K] of the cell that
+    receives the heat.
     """
     other = filled[i, j, m]
+    # conducting fraction of the face between the two cells, see OPEN
     part = wp.min(wp.max(fraction, other), OPEN * wp.min(fraction, other))
     return conductance * part * (temperature[i, j, m] - here)
 

@@ -35,7 +35,7 @@ from kernels.mirror import placed
 LEAST_GAIN = 1.1
 """Smallest gain (time without splitting / time with splitting) at which a launch is split.
 
-Measured gains are 0.91 to 1.03 if splitting does not save time, and 1.14 to 1.28 if it does.
+The value was chosen by judgement.
 """
 ORDER = tuple(number.bit_count() % 2 == 1 for number in range(16))
 """Order of the runs in a trial: True for a split run, False for a run as a whole.
@@ -52,7 +52,7 @@ A single interruption therefore does not change the outcome of the trial.
 """
 KEPT = 4
 """Number of most recent gains that are used. Older gains may belong to another machine load."""
-FIRST_TRIAL, LAST_TRIAL = 32, 2048
+SHORTEST_PERIOD, LONGEST_PERIOD = 32, 2048
 """Smallest and largest number of long runs between trials.
 
 The first trial begins with the first long run. A run is long if it takes long enough to be split.
@@ -69,7 +69,7 @@ class SplitChoice:
 
     def __init__(self) -> None:
         self._gains = deque[float](maxlen=KEPT)
-        self._period = FIRST_TRIAL
+        self._period = SHORTEST_PERIOD
         self._due = 0
         self._trial: list[float] = []
 
@@ -108,7 +108,9 @@ class SplitChoice:
         self._trial.clear()
         if whole > 0.0 and split > 0.0:
             self._gains.append(whole / split)
-        self._period = min(2 * self._period, LAST_TRIAL) if self.splits == before else FIRST_TRIAL
+        self._period = (
+            min(2 * self._period, LONGEST_PERIOD) if self.splits == before else SHORTEST_PERIOD
+        )
         self._due = self._period
 
 

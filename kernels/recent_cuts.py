@@ -118,7 +118,10 @@ def recently_cut(
 
 @wp.func
 def cut_straight(moved: wp.vec3, normal: Lanes3, half: lanes8):
-    """Compute how far [m] in front of eight elements a tool cut that only ``moved`` [m]."""
+    """Compute the depth [m] that a displaced tool has cut in front of eight elements.
+
+    The tool was displaced by ``moved`` [m], without rotation.
+    """
     across = along(moved, normal)
     square = lanes8(moved[0] * moved[0] + moved[1] * moved[1] + moved[2] * moved[2])
     return across - wp.cw_mul(half, square - wp.cw_mul(across, across))
@@ -128,7 +131,11 @@ def cut_straight(moved: wp.vec3, normal: Lanes3, half: lanes8):
 def cut_turned(
     moved: wp.vec3, turn: wp.vec3, elements: Elements, eight: int, normal: Lanes3, half: lanes8
 ):
-    """Compute how far [m] in front of eight elements a tool cut that has moved and turned."""
+    """Compute the depth [m] that a displaced and rotated tool has cut, for eight elements.
+
+    The depth is the depth in front of each element. The tool was displaced by ``moved`` [m], and
+    rotated by ``turn`` [rad].
+    """
     # To second order in the rotation w, an element at p with normal n moves by w x p, and the
     # surface at its new position rises by (w x n) . (w x p / 2 + moved). The rotation about the
     # tool's axis is omitted.

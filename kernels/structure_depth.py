@@ -69,7 +69,9 @@ class AxisCell:
     angle: wp.float64  # middle of the range [rad]
     half_angle: wp.float64  # [rad]
     bound: wp.float64  # lower bound of the distance between the structure and the balls [m]
-    distance: wp.float64  # signed distance of the middle of the cell from the surface [m]
+    # signed distance from the surface [m]: of the cell's middle, and before the evaluation of the
+    # cell, of the last evaluated middle
+    distance: wp.float64
 
 
 @wp.func
@@ -212,7 +214,8 @@ def cell_bounds(
     for k in range(HULL):
         corner, radius = hull_corner(motion, start, end, angle, half_angle, k)
         from_outside = wp.min(from_outside, clear - wp.length(corner - outside) - radius)
-    # The sign takes far more time than the distance, and a point inside gives a lower bound.
+    # The sign is expensive, so it is computed only if the bound would improve. The bound holds only
+    # if the point lies outside.
     if from_outside > lower and not is_in_structure(mesh, outside):
         lower = from_outside
     return lower, upper, signed

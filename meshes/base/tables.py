@@ -343,14 +343,25 @@ def _marks(rows: list[list[str]], delimiter: str, path: Path, what: str) -> tupl
     notations = [(".", ""), (",", ""), (".", ","), (",", ".")]
     if delimiter == ",":
         notations.insert(1, (".", ","))
+    misfits = dict[str, str]()
     for decimal, thousands in notations:
         whole = rf"\d*|[1-9]\d{{0,2}}([{thousands}{_SPACES} ]\d{{3}})+"
         notation = re.compile(rf"[+-]?({whole})([{decimal}]\d*)?([eE][+-]?\d+)?")
-        if all(map(notation.fullmatch, numbers)):
+        misfit = next((cell for cell in numbers if not notation.fullmatch(cell)), None)
+        if misfit is None:
             return decimal, thousands
+        # The last notation of each decimal mark also allows a thousands separator.
+        misfits[decimal] = misfit
+    comma = misfits["."]
+    point = misfits[","]
+    if comma == point:
+        raise InputError(
+            f"{what}: {path.name} has {comma!r}, which is not a number. Write it without a "
+            "thousands separator."
+        )
     raise InputError(
-        f"{what}: {path.name} has numbers with a decimal comma and with a decimal point. "
-        "Export it with one of them."
+        f"{what}: {path.name} has numbers with a decimal comma and with a decimal point, for "
+        f"example {comma!r} and {point!r}. Export it with one of them."
     )
 
 

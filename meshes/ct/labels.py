@@ -84,7 +84,7 @@ class Labels:
             near = [each for each in known if name in each or each in name] or known
             shown = ", ".join(near[:_SHOWN_NAMES])
             more = f" and {len(near) - _SHOWN_NAMES} more" if len(near) > _SHOWN_NAMES else ""
-            remedy = f"use {shown}{more}" if near != known else f"use one of {shown}{more}"
+            remedy = f"use {shown}" if len(near) == 1 else f"use one of {shown}{more}"
             # the file states no names
             if all(each == unnamed(number) for number, each in self.names.items()):
                 remedy += ", or name the labels by --label-names"

@@ -192,7 +192,8 @@ class Program:
             elif code not in _HOME:
                 raise self._refused(
                     f"has {code}, which is not supported",
-                    "Export the program with plain moves G0, G1, G2 and G3",
+                    "Export the program with plain moves G0, G1, G2 and G3, without canned cycles, "
+                    "cutter compensation and subprograms",
                 )
             if code in _WORK_OFFSETS:
                 if self._offset not in ("", code):

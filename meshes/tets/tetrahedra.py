@@ -176,6 +176,16 @@ class TetMesh:
             raise InputError(
                 "cells", "hold at least one tetrahedron", "none", "mesh the surface first"
             )
+        # `require_cells` does not check nodes that no cell uses.
+        is_finite = np.isfinite(self.nodes_m).all(axis=1)
+        if not is_finite.all():
+            bad = int(is_finite.argmin())
+            raise InputError(
+                "nodes_m",
+                "be finite",
+                f"node {bad} at {self.nodes_m[bad]}",
+                "repair this node or leave it out",
+            )
         require_cells(self.nodes_m, self.cells)
         flat = int((self.volumes_m3 <= 0.0).sum())
         if flat:

@@ -14,8 +14,8 @@ import warp as wp
 import kernels.launcher as launcher
 from kernels.launcher import (
     KEPT,
-    LAST_TRIAL,
     LEAST_GAIN,
+    LONGEST_PERIOD,
     ORDER,
     SplitChoice,
     SplitLaunch,
@@ -103,7 +103,7 @@ def run(choice, gain):
 
 def run_to_trial(choice, gain):
     """Run until a trial begins; how many runs that took."""
-    for count in range(2 * LAST_TRIAL):
+    for count in range(2 * LONGEST_PERIOD):
         if choice._due == 0:
             return count
         assert run(choice, gain) == choice.splits

@@ -233,4 +233,5 @@ def test_principal_stresses_of_turned_tensors(wanted):
     turns = Rotation.random(2000, random_state=0).as_matrix()
     stress = np.einsum("nij,j,nkj->nik", turns, wanted, turns)
     found = principal_stresses(stress[:, [0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]])
+    # rounding of eigvalsh for entries up to 5
     assert found == pytest.approx(np.broadcast_to(wanted, (2000, 3)), abs=1e-13)

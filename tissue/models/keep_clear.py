@@ -39,19 +39,22 @@ The tolerances of the kernel and of the tool's medial axis add up to less than t
 MANY_TRIANGLES = 10000
 """Number of triangles of a structure above which the search in a deep overlap is coarse.
 
-With a reamer of 30 mm that is 7.5 mm deep in 15,000 triangles, a tick of the fine search takes 30
-to 40 ms, and a tick of the coarse search 10 ms.
+The value was chosen by judgement: in a deep overlap, a tick of the fine search takes tens of
+milliseconds.
 """
 DEEP_OVERLAP_M = 1e-4
 """Largest error of the distance between tool and triangles in a coarse search [m].
 
-The search is coarse if the structure has more than `MANY_TRIANGLES`, and its surface is more than
-1 mm deep in the tool.
+The search is coarse if the structure has more than `MANY_TRIANGLES`, and a point of the structure's
+surface lies more than 1 mm (`DEEP_M`) inside the tool.
 """
 FINE_M = MEDIAL_TOLERANCE_M, 3e-6
 """Errors of the tool's medial axis and of the search [m]; their sum is less than `OVERLAP_M`."""
 COARSE_M = 5e-5, 4.5e-5
-"""The same errors in a coarse search [m]; their sum is less than `DEEP_OVERLAP_M`."""
+"""Errors [m] of the tool's medial axis and of the coarse search.
+
+Their sum is below `DEEP_OVERLAP_M`. The values were chosen by judgement.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +177,10 @@ class KeepClear:
         self._tick += 0 if placed else 1
 
     def overlaps(self) -> list[str]:
-        """Return a text with the depth in the last tick for each structure that the tool is in."""
+        """Return one text for each structure that the tool overlapped in the last tick.
+
+        The text contains the depth.
+        """
         return [
             f"{-distance_mm:.2f} mm inside {breach.name}"
             for breach, distance_mm in zip(self._breaches, self.measures, strict=True)

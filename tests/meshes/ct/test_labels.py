@@ -234,3 +234,19 @@ def test_labels_of_another_grid_go_to_the_nearest_voxels(tmp_path):
     assert on_grid_of(placed, image) is placed
     with pytest.raises(InputError, match="outside"):
         on_grid_of(labels, replace(image, origin_mm=(500.0, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [
+        ("femur", "use one of femur left, femur right"),
+        ("femur left side", "use femur left"),
+    ],
+)
+def test_an_unknown_label_names_the_near_ones(tmp_path, name, remedy):
+    values = volume()
+    values[5, 0, 0] = 3
+    names = {2: "femur left", 3: "femur right", 7: "canal"}
+    labels = read_labels(write_named_labels(tmp_path / "a.seg.nrrd", values, names))
+    with pytest.raises(InputError, match=f"(?i){remedy}$|{remedy}[.]$"):
+        labels.number(name)

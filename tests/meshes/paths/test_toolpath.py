@@ -96,7 +96,7 @@ def test_gcode_keeps_modes_units_and_feeds(tmp_path):
             "G0 X0 Y0 Z5\nG98 G81 Z-3 R1 F60",
             r"line 2 of .* has G81, which is not supported",
         ),
-        ("a.nc", "G41 D1", r"has G41, which is not supported"),
+        ("a.nc", "G41 D1", r"has G41, which is not supported.*without .*cutter compensation"),
         ("a.nc", "G92 X0", r"has G92, which is not supported"),
         ("a.nc", "M98 P100", r"has M98, which is not supported"),
         ("a.nc", "G54\nG55", "uses the work offset G55 after G54"),

@@ -14,6 +14,7 @@ from meshes.base.errors import InputError
 from meshes.tets.files import read_tets
 from meshes.tets.msh import read_msh
 from meshes.tets.structured import box
+from meshes.tets.tetrahedra import TetMesh
 
 pytestmark = pytest.mark.usefixtures("parsed_here")
 NODES = "$Nodes\n4\n1 0 0 0\n2 100 0 0\n3 0 100 0\n4 0 0 100\n$EndNodes\n"
@@ -181,3 +182,11 @@ def test_a_gmsh_file_of_implausible_size_asks_for_its_unit(tmp_path: Path) -> No
     )
     with pytest.raises(InputError, match="whose box of 7 x 7 x 7 fits an organ neither"):
         read_tets(file)
+
+
+def test_a_node_that_no_cell_uses_must_be_finite():
+    mesh = box((0.1, 0.1, 0.1), (1, 1, 1))
+    nodes_m = np.vstack([mesh.nodes_m, [0.0, np.nan, 0.0]])
+    with pytest.raises(InputError, match=r"node 8 at \[ 0. nan  0.\]") as error:
+        TetMesh(nodes_m, mesh.cells)
+    assert "repair this node or leave it out" in str(error.value).lower()

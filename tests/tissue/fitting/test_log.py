@@ -219,8 +219,15 @@ def test_decimal_commas_and_thousands(table, tmp_path, style, separator, encodin
     ("rows", "expected"),
     [
         (["0,5,1,5,2,0,3,5,4,5"] * 9, "decimal commas, and commas between its columns"),
-        (["0.5;1,5;2;3;4"] * 9, "with a decimal comma and with a decimal point"),
-        (["1.234,5;1,234.5;2;3;4"] * 9, "with a decimal comma and with a decimal point"),
+        (
+            ["0.5;1,5;2;3;4"] * 9,
+            "with a decimal comma and with a decimal point, for example '1,5' and '0.5'",
+        ),
+        (
+            ["1.234,5;1,234.5;2;3;4"] * 9,
+            "with a decimal comma and with a decimal point, for example '1.234,5' and '1,234.5'",
+        ),
+        (["1,234,5;1;2;3;4"] * 9, "has '1,234,5', which is not a number"),
     ],
 )
 def test_numbers_in_two_styles_are_refused_by_name(tmp_path, rows, expected):

@@ -50,3 +50,11 @@ def test_any_other_load_is_projected_in_energy():
     for known in (0, 3, 4, 5):
         assert abs(left @ solutions[known].ravel()) < 1e-9
     assert abs(left @ solutions[1].ravel()) > 1e-6
+
+
+def test_without_earlier_solutions_the_guess_is_zero():
+    guess = FirstGuess([])
+    _, loads, solutions = system()
+    assert np.array_equal(guess(loads[0]), np.zeros(loads[0].shape))
+    guess.add(solutions[0], loads[0])
+    assert guess(loads[0]) == pytest.approx(solutions[0], rel=1e-12)

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from held_cube import BOTTOM, SURFACE, body_of
 
-from tissue.fem.solvers.compliance import reduced_compliance_m_N, surface_compliance_m_N
-from tissue.fem.solvers.direct import DirectSolver
+from tissue.fem.solvers.compliance import CHUNK, reduced_compliance_m_N, surface_compliance_m_N
+from tissue.fem.solvers.direct import TOGETHER, DirectSolver
+from tissue.fem.solvers.held_body import components_of
 from tissue.models.organ.compliance import Factor
 
 TOUCHABLE = SURFACE[~BOTTOM[SURFACE]][::9]
@@ -59,3 +60,21 @@ def test_stored_columns_are_the_inverse_stiffness_and_stay(exact):
         found = factor.compliance_between(TOUCHABLE[order])
         assert found == pytest.approx(exact[np.ix_(rows, rows)], abs=1e-9 * np.abs(exact).max())
         assert np.array_equal(found, found.T)
+
+
+def test_columns_of_several_blocks_are_the_inverse_stiffness():
+    """Compliance between more nodes than one block of columns contains.
+
+    The factor and the solver compute it. The tolerance is that of the factorisation.
+    """
+    body = body_of()
+    nodes = np.sort(SURFACE[~BOTTOM[SURFACE]])[::2]
+    assert 3 * len(nodes) > 2 * max(CHUNK, TOGETHER)
+    inverse = np.zeros([3 * len(body.nodes_m)] * 2)
+    free = np.ix_(body.free, body.free)
+    inverse[free] = np.linalg.inv(body.stiffness.toarray()[free])
+    rows = components_of(nodes)
+    exact = inverse[np.ix_(rows, rows)]
+    for solver in (Factor(body, np.sort(SURFACE)), DirectSolver(body)):
+        found = solver.compliance_between(nodes)
+        assert found == pytest.approx(exact, abs=1e-9 * np.abs(exact).max())

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import tomli_w
 import trimesh
+from scipy.spatial.transform import Rotation
 
 import tissue
 from meshes.shapes.sdf import box
@@ -142,3 +143,45 @@ def test_a_sufficient_margin_contains_a_motion():
     # the outermost voxel of 0.1 mm does not count: the tip lies 2.1 mm beyond the region
     assert watch.sufficient_margin_mm(tips_m, axes) == pytest.approx(5.1)
     assert watch.sufficient_margin_mm(tips_m[:1], axes[:1]) == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("axis", [(0.0, 0.0, 1.0), (0.6, 0.0, 0.8)])
+@pytest.mark.parametrize("margin_mm", [1.0, 4.0])
+def test_the_region_contains_a_reamer_on_the_path(axis, margin_mm):
+    """The quick test by a box finds the reamer and its peg in the region along the whole path.
+
+    A margin of 1 mm is larger than a voxel at the edge plus the gaps between points on the tool.
+    """
+    changes = {
+        "device": "touch",
+        "duration_s": 0.002,
+        "motion.axis": axis,
+        "voxels.margin_mm": margin_mm,
+        "voxels.spacing_mm": 0.3,
+    }
+    parts = tissue.simulate(tissue.load_scene("glenoid", changes)).parts
+    end = parts.region_end
+    tips_m = np.linspace(*parts.motion.sweep_m()[[0, -1]], 50)
+    axes = np.tile(parts.motion.rotations()[0][:, 2], (50, 1))
+    low_m, high_m = end._box(tips_m, axes)
+    assert (low_m >= end._low_m).all() and (high_m <= end._high_m).all()
+    assert end.sufficient_margin_mm(tips_m, axes) <= margin_mm
+
+
+def test_the_box_of_a_tilted_tool_contains_all_its_points():
+    cutter = Cutter(ball_burr(diameter_m=5e-4), 6, 1000.0)
+    volume = VoxelVolume(
+        np.full(3, -1e-3),
+        1e-4,
+        np.full((20, 20, 20), 255, np.uint8),
+        np.zeros((20, 20, 20), np.uint8),
+        np.full((20, 20, 20), 1800.0, np.uint16),
+        ("bone",),
+    )
+    end = RegionEnd(volume, cutter, margin_mm=3.0, tissue=None)
+    tip_m = np.array([1e-3, 2e-3, 3e-3])
+    for rotation in Rotation.random(100, random_state=0).as_matrix():
+        points_m = tip_m + end._points_m @ rotation.T
+        low_m, high_m = end._box(tip_m, rotation[:, 2])
+        # rounding of coordinates of a few mm
+        assert (points_m >= low_m - 1e-17).all() and (points_m <= high_m + 1e-17).all()

@@ -36,7 +36,8 @@ CHUNK = 48
 """Number of columns of the compliance that one thread computes at a time.
 
 For 36,000 unknowns the columns take 14 MB. With loads and copies, a thread needs 70 MB, in addition
-to the memory of the back-substitution.
+to the memory of the back-substitution. The number is a multiple of 3, so a block contains all three
+columns of a node.
 """
 
 
@@ -107,7 +108,7 @@ def columns_at(solver: ColumnSolver, unknowns: Ints, rows: Ints) -> Iterator[Arr
         Solver for the displacements under unit forces.
     unknowns, rows
         Unknowns with a unit force, shape (k,), and unknowns whose displacements are returned, shape
-        (r,). A block has shape (r, CHUNK).
+        (r,). A block has at most `CHUNK` columns, shape (r, c).
     """
     chunks = [unknowns[start : start + CHUNK] for start in range(0, len(unknowns), CHUNK)]
     # A back-substitution releases the interpreter lock.

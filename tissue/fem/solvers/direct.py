@@ -281,7 +281,12 @@ class DirectSolver:
         """
         if not np.isin(nodes, self.last).all():
             unknowns = components_of(nodes)
-            return self.columns(unknowns)[unknowns]
+            starts = range(0, len(unknowns), TOGETHER)
+            # Only the wanted rows are kept, because all rows of all columns can take gigabytes.
+            blocks = [
+                self.columns(unknowns[start : start + TOGETHER])[unknowns] for start in starts
+            ]
+            return np.concatenate(blocks, axis=1)
         at = np.searchsorted(self.last, nodes)
         rows = components_of(at)
         return self._compliance_of_last_m_N[np.ix_(rows, rows)]

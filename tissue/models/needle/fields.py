@@ -223,8 +223,8 @@ class NeedleFields:
     def forces_N(self, deflection_m: float, inserted_m: float) -> Array:
         """Return the nodal forces [N] that cause a deflection, shape (k, 3).
 
-        The k nodes are those on the track. Down to the inserted length, they are displaced along
-        the needle by the deflection. The needle is rigid, so they are not displaced across it.
+        The track has k nodes. Down to the inserted length, they are displaced along the needle by
+        the deflection. The needle is rigid, so they are not displaced across it.
         """
         moved = self._depths_m <= inserted_m + ON_TRACK_M
         forces = np.zeros((len(self.nodes), 3))

@@ -86,9 +86,11 @@ class Factor:
             self._columns.clear()
             missing = wanted
         if missing:
-            blocks = list(columns_at(solver, components_of(np.array(missing)), surface))
-            each = np.split(np.concatenate(blocks, axis=1), len(missing), axis=1)
-            self._columns.update(zip(missing, map(np.copy, each), strict=True))
+            nodes_left = iter(missing)
+            for block in columns_at(solver, components_of(np.array(missing)), surface):
+                for columns in np.split(block, block.shape[1] // 3, axis=1):
+                    # A view would keep the memory of the whole block.
+                    self._columns[next(nodes_left)] = columns.copy()
         rows = components_of(np.searchsorted(self._surface, nodes))
         matrix = np.concatenate([self._columns[node][rows] for node in wanted], axis=1)
         # Rounding differs between columns, but the contact solver needs a symmetric matrix.

@@ -201,7 +201,7 @@ def _distinct(place: Integers) -> Int32s:
     """Return the distinct integer positions in lexicographic order, shape (k, 3)."""
     there = np.zeros(place.max(axis=0) + 1, np.bool_)
     there[tuple(place.T)] = True
-    # C order: sums over nodes then have the rounding that recorded traces have.
+    # C order keeps the rounding of sums over nodes. Recorded traces depend on it.
     return np.argwhere(there).astype(np.int32, order="C")
 
 

@@ -4,7 +4,6 @@ Stress is averaged over particles within a fixed distance. When cells are refine
 converges even where the stress at a point does not converge.
 """
 
-from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -260,22 +259,53 @@ class FirstGuess:
     """
 
     def __init__(self, kept: list[tuple[Array, Array]], *, recent: int = 2) -> None:
-        self._kept = kept
-        self._recent: deque[tuple[Array, Array]] = deque(maxlen=recent)
+        self._fixed = len(kept)
+        self._most = len(kept) + recent
+        self._count = 0
+        self._energy = np.zeros((self._most, self._most))
+        for displacement_m, load_N in kept:
+            self._store(displacement_m, load_N)
+        if kept:
+            known = slice(self._count)
+            self._energy[known, known] = _works(self._solutions[known], self._loads[known])
 
     def add(self, displacement_m: Array, load_N: Array) -> None:
         """Store a solution [m] and its load [N], each of shape (n, 3).
 
         The oldest solution beyond the number `recent` is discarded.
         """
-        if load_N.any():
-            self._recent.append((displacement_m.copy(), load_N.copy()))
+        if self._most == self._fixed or not load_N.any():
+            return
+        if self._count == self._most:
+            self._discard(self._fixed)
+        self._store(displacement_m, load_N)
+        # Works of earlier pairs do not change, so only the last row and column are computed.
+        known = slice(self._count)
+        last = slice(self._count - 1, self._count)
+        self._energy[last, known] = _works(self._solutions[last], self._loads[known])
+        self._energy[known, last] = _works(self._solutions[known], self._loads[last])
+
+    def _store(self, displacement_m: Array, load_N: Array) -> None:
+        """Store a solution [m] and its load [N] in the next row."""
+        if self._count == 0:
+            self._solutions = np.empty((self._most, load_N.size))
+            self._loads = np.empty((self._most, load_N.size))
+        self._solutions[self._count] = displacement_m.ravel()
+        self._loads[self._count] = load_N.ravel()
+        self._count += 1
+
+    def _discard(self, row: int) -> None:
+        """Discard a solution, and move the later rows up."""
+        for rows in (self._solutions, self._loads, self._energy, self._energy.T):
+            rows[row:-1] = rows[row + 1 :]
+        self._count -= 1
 
     def __call__(self, load_N: Array) -> Array:
         """Return a guess of the displacement [m] for a load [N], each of shape (n, 3)."""
-        known = np.array([*self._kept, *self._recent]).reshape(-1, 2, load_N.size)
-        solutions = known[:, 0]
-        energy = np.einsum("ik,jk->ij", solutions, known[:, 1])
+        if self._count == 0:
+            return np.zeros(load_N.shape)
+        solutions = self._solutions[: self._count]
+        energy = self._energy[: self._count, : self._count]
         # The matrix is symmetric for exact solutions.
         energy = 0.5 * (energy + energy.T)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(energy), np.finfo(float).tiny))
@@ -285,3 +315,8 @@ class FirstGuess:
         work = np.einsum("ik,k->i", solutions, load_N.ravel())
         share = modes @ ((modes.T @ work) / values[used])
         return np.einsum("i,ik->k", share, solutions).reshape(load_N.shape)
+
+
+def _works(solutions: Array, loads: Array) -> Array:
+    """Return the work of each load, shape (b, 3n), on each solution, shape (a, 3n): (a, b)."""
+    return np.asarray(np.einsum("ik,jk->ij", solutions, loads))
