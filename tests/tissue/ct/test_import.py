@@ -282,7 +282,7 @@ def test_names_are_suggested_for_labels_without_names(reference, tmp_path):
     image = ball()
     write_nrrd(tmp_path / "a.nrrd", ball_mask(image).astype(np.uint8), *axes_of(image)[1:])
     options = {"labels": tmp_path / "a.nrrd", "region": "femur_right"}
-    with pytest.raises(InputError, match=r"Use one of label 1, or name the labels by --label-n"):
+    with pytest.raises(InputError, match=r"Use label 1, or name the labels by --label-n"):
         imported(made.folder.parent / "ct.nrrd", tmp_path / "out", **options)
 
 
