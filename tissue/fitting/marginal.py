@@ -216,9 +216,9 @@ def _walked(
 ) -> dict[float, tuple[float, Array]]:
     """Return log densities, and the best other numbers, at growing distances from a value.
 
-    The search ends when the density has been negligible over a range longer than `patience`. For
-    the offset this range is needed, because the density may rise again within a sampling interval
-    of the log.
+    The search ends when the density has been negligible over a range longer than `patience`. This
+    range matters for the clock offset, because the density may rise again within a sampling
+    interval of the log.
     """
     found: dict[float, tuple[float, Array]] = {}
     highest, u = first

@@ -51,8 +51,8 @@ class OrganForward:
         logarithm.
     curved
         Coefficients, shape (n, channels, p, p), that multiply the squares and products of the
-        distances. The matrix is symmetric: each order of two constants holds half of the
-        coefficient.
+        distances. The matrix is symmetric: entries (i, j) and (j, i) each hold half of the
+        coefficient of a product.
     """
 
     parameters: tuple[Parameter, ...]
@@ -65,7 +65,11 @@ class OrganForward:
     curved: Array
 
     def reduced(self, x: Array) -> tuple[float, Array]:
-        """Return the ratio of the loads at `x` to the loads of a run, and the run's constants."""
+        """Return the ratio of the loads at `x` to the loads of a scaled run, and its constants.
+
+        The moduli of the scaled run are the moduli in `x` times one factor, so that the first
+        modulus is that in `at`. If `moduli` is empty, the results are 1 and `x`.
+        """
         x = np.asarray(x, dtype=float)
         # the loads are not proportional to moduli: a run with x itself is needed
         if not self.moduli:
@@ -111,7 +115,7 @@ class OrganForward:
             Constants of the other run, and its loads.
         learnt
             Step from the last run, in standard deviations of the priors, below which slopes are not
-            corrected. Over a shorter step, slopes would represent single nodes that come into
+            corrected. The loads over a shorter step mainly show single nodes that come into
             contact.
         """
         distance = self.distance(at)
@@ -152,7 +156,7 @@ smaller change would show single nodes that enter or leave the contact.
 FIRST_STEP = 0.5
 """One-sided change of a constant for its first slope, in standard deviations of its prior."""
 SETTLED = 0.3
-"""Distance from the last run's constants below which the fitted constants count as equal.
+"""Largest distance of fitted constants from the last run's constants at which no run is added.
 
 The distance is measured in standard deviations of the constants. A 90 % interval is 3.3 standard
 deviations wide.

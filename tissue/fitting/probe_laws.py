@@ -41,7 +41,7 @@ With one constant and 9 nodes, interpolated forces have an error below 0.3 %
 (`tests/tissue/fitting/test_probes.py`).
 """
 DENSE = {1: 400, 2: 60}
-"""Number of compared values per shape constant, keyed by the number of shape constants.
+"""Number of values per shape constant that a fit compares, keyed by the number of constants.
 
 Two neighbouring values of a rate differ by 1.6 % with one shape constant, and by 12 % with two
 shape constants.

@@ -112,8 +112,9 @@ def innovations(residuals: Array, correlation: Array) -> Array:
     """Return the innovations e_t = r_t - phi r_(t-1) of residuals, shape (m, channels).
 
     The factor phi is `correlation`. The first innovation after a gap (NaN) is sqrt(1 - phi²) r_t,
-    because the chain starts stationary. Innovations are NaN at gaps. Innovations are linear in the
-    residuals, so `residuals` may also be derivatives of residuals, shape (m, channels, k).
+    because the noise is assumed to be stationary. Innovations are NaN at gaps. Innovations are
+    linear in the residuals, so `residuals` may also be derivatives of residuals, shape (m,
+    channels, k).
     """
     previous = np.concatenate([np.full_like(residuals[:1], np.nan), residuals[:-1]])
     phi = correlation.reshape(1, -1, *[1] * (residuals.ndim - 2))
@@ -247,7 +248,7 @@ class Target:
     def _by_place(self, each: Unpacked) -> tuple[Array, Array]:
         """Return loads without bias, shape (m, channels), and their derivatives.
 
-        The derivatives are by z and the scaled offset, shape (m, channels, p + 1).
+        The derivatives are with respect to z and the scaled offset, shape (m, channels, p + 1).
         """
         values, rates = self._shifted(each.offset_s)
         x = self.x(each.z)
@@ -341,10 +342,11 @@ class Target:
         return log_density, u
 
     def with_noise(self, u: Array) -> tuple[float, Array]:
-        """Find the noise that maximises the restricted likelihood for fixed other numbers.
+        """Find the noise that maximises the restricted likelihood; keep the other numbers of `u`.
 
-        Return the logarithm of this likelihood times the priors, and the numbers. The restricted
-        likelihood is the density integrated over the other numbers by Laplace's approximation.
+        Return the logarithm of this likelihood times the priors, and all numbers. The restricted
+        likelihood is the density, integrated over the other numbers by Laplace's approximation
+        about `u`.
         """
         simulated, moved = self.linearised(u)
         residuals = self.log.values - simulated
@@ -372,8 +374,8 @@ class Target:
     def start(self, offset_s: float) -> Array:
         """Return the numbers at which a search starts, shape (size,), for a clock offset.
 
-        The constants follow from two steps of reweighted least squares, from the middle of their
-        priors.
+        The constants follow from two steps of reweighted least squares that begin at the medians of
+        their priors.
         """
         u = np.zeros(self.size)
         u[self.constants] = offset_s / OFFSET_S

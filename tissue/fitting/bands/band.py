@@ -69,7 +69,7 @@ The difference is relative to the peak load. It is not zero, because the loads o
 interpolated between tabulated chip thicknesses.
 """
 SOBOL_ROWS = 512
-"""Number of rows of each of the two samples from which the Sobol indices are computed.
+"""Number of rows of each of the two random matrices from which the Sobol indices are computed.
 
 For a milling run, the computation with 512 rows takes 1 s. The indices then differ by at most 0.03
 from the indices with 8192 rows.
