@@ -22,7 +22,7 @@ A shorter time without force may be caused by chatter of a cutting tool, and doe
 contact.
 """
 REMEMBERED = 0.95
-"""Factor by which the weight of past forces decays in a tick, for the direction of the force.
+"""Factor per tick by which the weight of a past force decays in the estimated force direction.
 
 The direction is estimated from past forces, because a force close to zero has no reliable
 direction.

@@ -33,7 +33,7 @@ class Predictor(Protocol):
         ...
 
     def predict(self, ticks: float) -> Array:
-        """Return the force [N], shape (3,), predicted some ticks after the last observation.
+        """Return the predicted force [N], shape (3,), at `ticks` ticks after the last observation.
 
         For zero ticks, the result is the present force. The number of ticks need not be a whole
         number, because the delay of a force on its path to the motor is not a whole number of
