@@ -33,8 +33,8 @@ HYPER = (
 )
 """Names of the parameters of the population.
 
-They are means and standard deviations of the observers' parameters over people. ``variance`` is the
-mean of sigma squared.
+They are the mean and the standard deviation, over people, of each parameter of an observer.
+``variance`` is the mean of sigma squared.
 """
 VARIANCE_SHAPE = 10.0
 """Shape of the inverse-gamma distribution of sigma squared over people.

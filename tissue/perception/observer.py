@@ -354,8 +354,8 @@ def population() -> Population:
 def population_observer() -> Observer:
     """Return the observer for a person without a calibration: the distribution over people.
 
-    The observer has the same distribution as `population`, except that ln sigma becomes normal with
-    equal mean and variance.
+    The observer has the same distribution as `population`, except that ln sigma has a normal
+    distribution with the same mean and the same variance.
     """
     people = population()
     scale = (people.sigma_shape - 1.0) * people.sigma**2
