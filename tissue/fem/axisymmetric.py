@@ -45,9 +45,12 @@ PENALTY = 100.0
 CORRECTIONS = 30
 """Largest number of corrections of the contact multipliers."""
 TOLERANCE = 1e-4
-"""Largest depth of a point in contact inside the ball, divided by the ball's radius."""
+"""Accepted penetration of a contact point into the ball, divided by the ball's radius."""
 TRUSTED = 1.5
-"""Upper limit of a contact pressure in the tangent, divided by the present multiplier."""
+"""Largest contact pressure that the tangent uses, divided by the present multiplier.
+
+A larger pressure is only a first guess and would make the tangent indefinite.
+"""
 REST = np.array([1.0, 0.0, 0.0, 1.0, 1.0])
 """Components rr, rz, zr, zz and hoop of the identity, the undeformed state."""
 NEWTON_STEPS = 40

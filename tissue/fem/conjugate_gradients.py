@@ -76,7 +76,7 @@ class Iterate:
         Scalar products ``r . B r`` of the present and all earlier residuals r, with the
         preconditioner B.
     factors
-        Factors of the previous direction in the directions of all steps so far.
+        Factor of the previous direction in the direction of each step so far.
     lengths
         Step lengths of all steps so far.
     """
