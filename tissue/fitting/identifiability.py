@@ -122,8 +122,8 @@ def identified(posterior: Posterior) -> Identified:
     Let z be the constants transformed so that their prior is standard normal. The combinations
     follow from the eigenvectors of the Fisher information that the log gives about z if the
     nuisance parameters are unknown too. Each eigenvector is the gradient of a weighted mean of the
-    loads with respect to z. A combination is evaluated as this mean and not as a weighted sum of z,
-    because the gradient may change along a curve on which the mean is constant.
+    loads with respect to z. A combination is this mean, not a weighted sum of z, because the
+    gradient may change along a curve on which the mean is constant.
     """
     target = posterior.target
     contraction = posterior.spreads

@@ -67,8 +67,8 @@ class OrganForward:
     def reduced(self, x: Array) -> tuple[float, Array]:
         """Return the ratio of the loads at `x` to the loads of a scaled run, and its constants.
 
-        The moduli of the scaled run are the moduli in `x` times one factor, so that the first
-        modulus is that in `at`. If `moduli` is empty, the results are 1 and `x`.
+        One factor scales the moduli in `x` to the moduli of this run, whose first modulus is that
+        in `at`. If `moduli` is empty, the results are 1 and `x`.
         """
         x = np.asarray(x, dtype=float)
         # the loads are not proportional to moduli: a run with x itself is needed
@@ -148,7 +148,7 @@ class OrganForward:
 EVERY = 2
 """Ticks between two loads that a run keeps. A log is averaged over more ticks than this."""
 STEPS = (0.1, 1.0)
-"""Smallest and largest change of a constant to compute slopes, in prior standard deviations.
+"""Limits of the change of a constant from which a slope is computed [prior standard deviations].
 
 Between these limits, the change equals the uncertainty of the constant. The load difference after a
 smaller change would show single nodes that enter or leave the contact.
@@ -156,7 +156,7 @@ smaller change would show single nodes that enter or leave the contact.
 FIRST_STEP = 0.5
 """One-sided change of a constant for its first slope, in standard deviations of its prior."""
 SETTLED = 0.3
-"""Largest distance of fitted constants from the last run's constants at which no run is added.
+"""Distance of fitted constants from the last run's constants below which no run is added.
 
 The distance is measured in standard deviations of the constants. A 90 % interval is 3.3 standard
 deviations wide.

@@ -155,7 +155,7 @@ def _shape_prior(name: str, value: float) -> Prior | None:
 
 
 LAW_MS = 5.0
-"""Time between two solutions of a hyperelastic organ [ms]; the smallest value in a scene.
+"""Time between two solutions of a hyperelastic organ [ms]; the smallest that a scene can set.
 
 A short time is needed because measured tissue has no latency.
 """

@@ -28,9 +28,9 @@ A force may rise at several times, so there may be several maxima. Offsets beyon
 deviations of the prior are included to detect clocks that contradict the prior.
 """
 STARTS = 2
-"""Number of first guesses from which a search begins: the best over all clock offsets.
+"""Number of searches, which begin at the best first guesses over all clock offsets.
 
-For a milled block, 1, 2 and 5 first guesses lead to the same maximum.
+For a milled block, 1, 2 and 5 searches find the same maximum.
 """
 NEARBY = np.linspace(-2.5, 2.5, 101)
 REFINED = 3
@@ -238,7 +238,7 @@ def starts(target: Target) -> list[tuple[float, Array]]:
 GAIN = 10.0
 """Increase of the log density (10: odds of 2e4) above which a channel's sign counts as reversed."""
 SCREENED = 50.0
-"""Largest distance of a first guess from the wanted log density at which a search begins.
+"""Distance below the wanted log density up to which a first guess starts a search.
 
 The search tests reversed signs. It also changes the noise, so the first guess alone does not
 decide.

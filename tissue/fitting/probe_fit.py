@@ -88,7 +88,7 @@ class FittedCurve:
 
 
 def median_curve(forces_N: Array, draws: Ints | None = None) -> Array:
-    """Return the median of presses at each depth, shape (d,), or one row per row of `draws`."""
+    """Return the median of presses at each depth, shape (d,), or one for each row of `draws`."""
     chosen = forces_N if draws is None else forces_N[draws]
     return np.median(chosen, axis=-2)
 
@@ -134,9 +134,10 @@ class ProbeFit(Fitted):
         Name of the elastic law of the organ.
     constants
         Modulus and shape constants, with 90 % intervals.
-    force_N, bias_N
-        Fitted force [N], shape (d,), at the depths of the table, including the bias; and the bias
-        [N] of the force sensor.
+    force_N
+        Fitted force at the depths of the table, including the bias [N], shape (d,).
+    bias_N
+        Bias of the force sensor [N].
     misfit
         L2 norm of the difference between the fitted and the median curve, divided by the L2 norm of
         the median curve.

@@ -27,7 +27,7 @@ NOISE_SPREAD = 1.5
 """Prior spread of the noise.
 
 The spread is the standard deviation of the logarithm of the noise. The prior median of the noise is
-`NOISE_SHARE`, relative to the size of the loads. 90 % of the values lie within a factor of 12 of
+`NOISE_SHARE`, relative to the size of the loads. Of the values, 90 % lie within a factor of 12 of
 the median.
 """
 LEAST_NOISE = 1e-3
@@ -40,8 +40,8 @@ CORRELATION_SPREAD = 1.5
 MOST_CORRELATED = 0.9995
 """Largest absolute correlation of neighbouring residuals.
 
-In the prior, the artanh of the correlation has the standard deviation `CORRELATION_SPREAD`. 90 % of
-the correlations lie within +-0.986.
+In the prior, the artanh of the correlation has the standard deviation `CORRELATION_SPREAD`. Of the
+correlations, 90 % lie between -0.986 and 0.986.
 """
 LEAST_FREEDOM = 2.0
 FREEDOM = 4.0
@@ -49,9 +49,9 @@ FREEDOM_SPREAD = 1.0
 """Prior standard deviation of ln(f - `LEAST_FREEDOM`), with the degrees of freedom f of the noise.
 
 `LEAST_FREEDOM` is the smallest f, at which the variance becomes finite. `FREEDOM` is the prior
-median of f - `LEAST_FREEDOM`. 90 % of the values lie between 3 and 23. This range covers noise with
-heavy tails, and comes close enough to normal noise. If 4 degrees of freedom were assumed for normal
-noise, 90 % intervals would contain the true value in only 87 % of cases.
+median of f - `LEAST_FREEDOM`. Of the values f, 90 % lie between 3 and 23. This range covers noise
+with heavy tails, and comes close enough to normal noise. If 4 degrees of freedom were assumed for
+normal noise, 90 % intervals would contain the true value in only 87 % of cases.
 """
 CORRELATED = 0.5
 """Correlation of neighbouring residuals at the start: between white noise (0) and drift (1)."""

@@ -140,7 +140,7 @@ class Reweighed:
 def with_sizes(loads: Array) -> Array:
     """Append the magnitudes of force and torque to the components: from shape (..., 6) to (..., 8).
 
-    The order is that of `CHANNELS`.
+    The components have the order of `CHANNELS`.
     """
     force = loads[..., :3]
     torque = loads[..., 3:]
@@ -269,7 +269,7 @@ def _by_level(values: Array) -> dict[str, float]:
 
 
 REACH = 0.9
-"""Share of the runs that must reach a tick, so that quantiles are computed for this tick.
+"""Smallest share of runs that must last until a tick for which quantiles are computed.
 
 With a smaller share, the 5 and 95 % quantiles would describe only a part of the runs.
 """
