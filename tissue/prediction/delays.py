@@ -154,7 +154,7 @@ def _path_coordinates() -> Array:
 
 
 PATH_COORDINATES = _path_coordinates()
-"""Matrix, shape (17, COORDINATES), that maps coordinates to those used for the displacement."""
+"""Matrix, shape (17, COORDINATES), that maps coordinates at `DELAYS` to those at `PATH_DELAYS`."""
 
 
 @dataclass(frozen=True)

@@ -87,9 +87,11 @@ class Contact:
     stiffness_N_m
         Stiffness -dF/dx of the tissue at the tool [N/m], shape (3, 3). None if the tissue does not
         provide its stiffness.
-    gap_m, normal
-        Distance of a free tool from the tissue's surface [m], and outward unit normal of the
-        surface, shape (3,). The distance is infinite if the tissue does not provide it.
+    gap_m
+        Distance of a free tool from the tissue's surface [m]; infinite if the tissue does not
+        provide it.
+    normal
+        Outward unit normal of the surface, shape (3,).
     surface_N_m
         Stiffness of the surface below a free tool, along the normal [N/m]; infinite if it is not
         known.
