@@ -80,11 +80,11 @@ class ThresholdPrior:
     """Prior of Weber fraction, low-force term and lapse rate on a grid.
 
     The Weber fraction has a log-normal prior between two bounds. The low-force term has a
-    log-normal prior between 0.05 and 0.8 N, with a median of 0.2 N and a standard deviation of a
-    factor of 1.65. The lapse rate (share of accidental wrong answers) has the prior Beta(0.5, 5),
-    truncated at 0.2. Schuett et al. (2016) use Beta(1, 10), which has the same mean and twice the
-    weight. Grid cells of the Weber fraction have equal width in the logarithm. Grid cells of the
-    lapse rate are narrow at small rates. Otherwise the thresholds of observers with few lapses
+    log-normal prior between 0.05 and 0.8 N, with a median of 0.2 N and a geometric standard
+    deviation of 1.65. The lapse rate (share of accidental wrong answers) has the prior Beta(0.5,
+    5), truncated at 0.2. Schuett et al. (2016) use Beta(1, 10), which has the same mean and twice
+    the weight. Grid cells of the Weber fraction have equal width in the logarithm. Grid cells of
+    the lapse rate are narrow at small rates. Otherwise the thresholds of observers with few lapses
     would be estimated 12 % too low.
 
     Attributes

@@ -147,12 +147,12 @@ def fit_hierarchy(
     The sampler is NUTS, the No-U-Turn sampler of Hoffman and Gelman (2014), in NumPyro.
 
     The parameters ln alpha, beta, ln kappa and ln offset of an observer have normal distributions
-    over the population. sigma squared has an inverse-gamma distribution, and lapse rates have
-    the distribution Beta(1, 10). Means over observers have wide priors around published values, and
-    standard deviations over observers have half-normal priors. ln kappa and ln offset are
-    parametrised as deviations from the mean (non-centred), because the trials of one observer
-    contain little information about them. ln alpha and beta are parametrised directly (centred),
-    because the trials of one observer contain enough information about them.
+    over the population. The variance sigma squared has an inverse-gamma distribution, and lapse
+    rates have the distribution Beta(1, 10). Means over observers have wide priors around published
+    values, and standard deviations over observers have half-normal priors. The trials of one
+    observer contain little information about ln kappa and ln offset, which are therefore
+    parametrised as deviations from the mean (non-centred). They contain enough information about ln
+    alpha and beta, which are parametrised directly (centred).
 
     Parameters
     ----------

@@ -222,8 +222,8 @@ def weber_of(observer: Observer, *, quantile: float = 0.5) -> Weber:
 NODES = 4097
 """Number of nodes of a `LogTable`.
 
-For tables over five decades of force, the relative interpolation error is below 1e-6. It was
-computed for observers whose exponent has a standard deviation of at most 0.5.
+For tables over five decades of force, the relative interpolation error is below 1e-6. This holds
+for observers whose exponent has a standard deviation of at most 0.5.
 """
 
 
@@ -286,9 +286,10 @@ class ForceMap:
     ----------
     reference, observer
         Intensity laws of the reference observer, and of the observer that feels the command.
-    lowest_N, knee_N
-        Positive force below which the map is a straight line, and larger force up to which the
-        device plays commands uncompressed [N].
+    lowest_N
+        Positive force below which the map is a straight line [N].
+    knee_N
+        Force, above `lowest_N`, up to which the device plays commands uncompressed [N].
 
     Attributes
     ----------
