@@ -93,7 +93,7 @@ class Hyperelastic:
 
     @classmethod
     def exponential(cls, shear_Pa: float, rate: float, *, bulk_Pa: float) -> "Hyperelastic":
-        """Return the law with the isochoric energy (mu / 2 b) (exp(b (I1 - 3)) - 1)."""
+        """Return the law with the isochoric energy (mu / (2 b)) (exp(b (I1 - 3)) - 1)."""
         return cls(bulk_Pa, (), exponentials=((shear_Pa, rate),))
 
     @property
