@@ -59,10 +59,10 @@ def assemble(space: Space, elasticity: ArrayLike, *, softened: bool = False) -> 
     for any number of cores. The integrals over the cells are exact.
 
     Quadratic cells with straight edges lock if Poisson's ratio is near 0.5. Softened cells do not
-    lock. In these cells, the part of the first Lame constant above `SOFTENED_RATIO` times the shear
-    modulus resists only the mean change of the volume of a cell (mean dilatation: Nagtegaal, Parks
-    and Rice 1974, Comput. Methods Appl. Mech. Eng. 4:153). Cells with a Poisson's ratio of up to
-    1/4 are not softened.
+    lock. In softened cells, a part of the first Lame constant resists only the mean volume change
+    of the cell. It is the part above `SOFTENED_RATIO` times the shear modulus (mean dilatation:
+    Nagtegaal, Parks and Rice 1974, Comput. Methods Appl. Mech. Eng. 4:153). Cells with a Poisson's
+    ratio of up to 1/4 are not softened.
 
     Parameters
     ----------

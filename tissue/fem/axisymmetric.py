@@ -41,7 +41,7 @@ GROWTH = 1.22
 CONTACT = 0.9
 """Radius within which the surface cells have equal length, divided by the ball's radius."""
 PENALTY = 100.0
-"""Contact stiffness per area, relative to shear modulus divided by surface cell length."""
+"""Contact stiffness per area, in units of shear modulus divided by surface cell length."""
 CORRECTIONS = 30
 """Largest number of corrections of the contact multipliers."""
 TOLERANCE = 1e-4

@@ -11,7 +11,7 @@ from meshes.base.arrays import Array
 
 
 class SolverOutcome(Enum):
-    """Outcome of a solution. The value describes the cause of a failure and how to fix it."""
+    """Outcome of a solver. The text of a failure states its cause and how to fix it."""
 
     CONVERGED = "the displacement has converged within the tolerance"
     NOT_CONVERGED = (
