@@ -63,10 +63,13 @@ class LawMisfit:
         Number of constants of the maximum-likelihood fit, without the scatter.
     size_exponent
         Exponent m of the maximum-likelihood fit; 0 for the linear law.
-    chi_square, freedom, p
-        Sum of squared errors of the maximum-likelihood fit relative to the scatter, its degrees of
-        freedom, and the probability of a larger sum. `chi_square` and `p` are None without a
-        scatter; `p` is also None without degrees of freedom.
+    chi_square
+        Sum of squared errors of the maximum-likelihood fit relative to the scatter. None without a
+        scatter.
+    freedom
+        Degrees of freedom of `chi_square`.
+    p
+        Probability of a larger `chi_square`. None without a scatter or without degrees of freedom.
     aic
         Akaike's information criterion, up to a constant that all laws of a table share. None if the
         table has no scatter and has so few rows that the law could fit one load exactly.
