@@ -70,7 +70,7 @@ PRIOR_SHAPE = 2.0
 PRIOR_SCALE = 0.12
 """Scale of the inverse-gamma prior of sigma^2, whose shape is `PRIOR_SHAPE`.
 
-sigma is the relative scatter of reported numbers. The prior mean of sigma^2 is 0.12, which
+Here sigma is the relative scatter of reported numbers. The prior mean of sigma^2 is 0.12, which
 corresponds to a scatter of about 0.3.
 """
 

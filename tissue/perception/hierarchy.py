@@ -160,11 +160,12 @@ def fit_hierarchy(
         Trials of at least three observers.
     seed
         Seed of the random draws.
-    warm_up, draws
-        Number of tuning draws per chain (`warm_up`), and number of draws that are kept per chain
-        (`draws`). For eight observers with 60 comparisons and 12 reported numbers each, the
-        effective sample size is 444 to 499 with 600 kept draws, and 230 with 300. A warm-up of 300
-        draws is enough in this case.
+    warm_up
+        Number of tuning draws per chain.
+    draws
+        Number of draws that are kept per chain. For eight observers with 60 comparisons and 12
+        reported numbers each, the effective sample size is 444 to 499 with 600 draws, and 230 with
+        300. A warm-up of 300 draws is enough in this case.
     progress
         True to show a progress bar for each chain.
 

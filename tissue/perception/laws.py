@@ -295,9 +295,11 @@ class ForceMap:
     ----------
     gain
         Common factor of all forces, at most 1.
-    table, intensity, spread
-        Three tables: the command [N] as a function of the force, and mean and standard deviation of
-        the perceived intensity as functions of the command.
+    table
+        Table of the command [N] as a function of the force.
+    intensity, spread
+        Tables of the mean and the standard deviation of the perceived intensity, as functions of
+        the command.
     steepest
         Largest slope of the map, which is the largest factor by which it increases the stiffness of
         a contact.
