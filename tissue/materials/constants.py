@@ -241,9 +241,9 @@ BOUNDS = {
 }
 """Smallest and largest value with which a scene can be built, keyed by the constant's name.
 
-Only constants whose range is close to a limit are listed: Poisson's ratios of nearly incompressible
-solids, relaxation shares, whose sum must be less than one, and the share of heat. Cited ranges of
-Poisson's ratio end at 0.4999.
+Only constants whose range is close to a limit are listed. These are Poisson's ratios of nearly
+incompressible solids, relaxation shares (their sum must be below 1), and the share of heat. Cited
+ranges of Poisson's ratio end at 0.4999.
 """
 NEAR_ZERO = 0.05
 """Threshold below which a prior compresses values, relative to the cited value (judgement).

@@ -69,8 +69,8 @@ def orthotropic(*, young_Pa: ArrayLike, shear_Pa: ArrayLike, poisson_ratio: Arra
     shear_Pa
         G12, G13, G23 [Pa].
     poisson_ratio
-        nu12, nu13, nu23. nu12 is the ratio of contraction along 2 to extension along 1 under
-        tension along 1, and nu21 = nu12 E2 / E1.
+        nu12, nu13, nu23. The ratio nu12 is the contraction along 2 divided by the extension along 1
+        under tension along 1, and nu21 = nu12 E2 / E1.
 
     Raises
     ------
