@@ -34,7 +34,7 @@ FIRST = 0.12
 """Edge of a cell on the axis at the surface, divided by the ball's radius.
 
 With 0.045 instead of 0.12, the forces at depths of 0.1 to 0.75 ball radii change by at most 0.3 %.
-With 0.18 they change by 1.3 %: `tests/verification/test_axisymmetric.py`.
+With 0.18 they change by 1.3 % (`tests/verification/test_axisymmetric.py`).
 """
 GROWTH = 1.22
 """Ratio of the lengths of neighbouring cells outside the contact."""
