@@ -32,7 +32,7 @@ SHAPES = {
 }
 """Range of each shape constant in which a fit searches.
 
-Each end is the limit of the scene key, or differs from published fits by a factor of ten.
+Each end is the limit of the scene key, or lies factors of ten beyond published fits.
 """
 NODES = {1: 9, 2: 7}
 """Number of values of a shape constant at which forces are solved, keyed by number of constants.
