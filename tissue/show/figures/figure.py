@@ -140,9 +140,9 @@ def plain(panels: "Iterable[Axes]") -> None:
 def plain_numbers(axis: "Axis") -> None:
     """Label a logarithmic axis with plain numbers, such as 100 instead of 10^2.
 
-    An axis that spans more than about three decades is labelled only at 1, 10, 100 and so on. Other
-    axes are also labelled at 2, 5, 20, 50 and so on. An axis below about one decade has a label at
-    1.5, 3, 4 and 7 too.
+    An axis longer than about three decades is labelled only at 1, 10, 100 and so on. A shorter axis
+    is also labelled at 2, 5, 20, 50 and so on. An axis of about one decade or less has additional
+    labels at 1.5, 3, 4 and 7.
     """
     from matplotlib.ticker import LogLocator
 
@@ -220,10 +220,7 @@ def axis_names(run: "Run") -> tuple[str, ...]:
 
 
 def torque_unit(torque_Nm: float) -> tuple[str, float]:
-    """Return the unit for a picture of torques up to a largest value, and a factor.
-
-    The factor converts N m to the unit.
-    """
+    """Return the unit for a picture of torques up to `torque_Nm`, and the factor from N m."""
     return ("mN·m", 1e3) if torque_Nm < SMALL_NM else ("N·m", 1.0)
 
 
@@ -251,7 +248,7 @@ def field_colours(low: float, high: float) -> str:
 
 
 def field_words(*names: str) -> str:
-    """Return the common words and the unit of the labels of several fields or trace columns.
+    """Return the words that the labels of fields or trace columns share, followed by the unit.
 
     An example is ``von Mises / kPa``.
     """

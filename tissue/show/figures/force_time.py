@@ -33,7 +33,7 @@ MOST_EVENTS = 6
 A list of more events would be higher than a panel.
 """
 FOOTNOTE_LETTERS = 92
-"""Largest number of letters in a footnote line: 8.5 points in 7 inches; 101 do not fit."""
+"""Largest number of letters in a footnote line, which is 7 inches wide with 8.5 point letters."""
 EVENT_IN = 0.17
 """Height of a text line for an event below a picture [in]."""
 FLICKER_S = 0.02
@@ -45,7 +45,7 @@ would look like stripes.
 
 
 def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, int, str]]:
-    """Return runs of equal entries as (first index, index after the last entry, entry).
+    """Return intervals of equal entries as (first index, index after the last entry, entry).
 
     An interval with fewer entries than `shortest` is joined with the previous interval. If the
     first interval is too short, it is joined with the next interval.
@@ -226,9 +226,9 @@ def _draw_path(axes: "Axes", run: Run) -> None:
 
 LEGEND_LETTERS = 125
 BESIDE_NAME_LETTERS = 25
-"""Letters in a row of a legend, and letters of an entry besides its name, as wide as its patch.
+"""Width of a legend entry without the layer's name [letters]: colour patch, other words and gaps.
 
-A wider legend would leave the panels only a part of the figure's width.
+`LEGEND_LETTERS` is the largest width of a legend row. A wider legend would narrow the panels.
 """
 MOMENT_S = 0.06
 """Duration [s] of an enlarged interval, in which latencies of milliseconds are visible."""

@@ -13,9 +13,9 @@ from tissue.simulation.run import Run
 ALONG, AROUND, FINE = 3, 48, 40
 """Numbers of balls in the search for the ball of a tool that is nearest to a structure.
 
-`ALONG` balls lie along each segment of the tool's medial axis, and `AROUND` balls around its axis.
-In the second search, `FINE` balls lie in both directions. The numbers affect only the picture;
-`tests/tissue/show/figures/test_layer_pictures.py` checks the length of the drawn line.
+The first search tests `ALONG` balls along each segment of the tool's medial axis, at `AROUND`
+angles about the tool's axis. The second search tests `FINE` positions and `FINE` angles near the
+result. `tests/tissue/show/figures/test_layer_pictures.py` checks the length of the drawn line.
 """
 
 
@@ -42,7 +42,7 @@ class Closest:
 
 
 def closest(run: Run) -> Closest | None:
-    """Return the smallest of the `distances_to_structures`.
+    """Return the smallest distance of a run between the tool and a protected structure.
 
     The result is None for a run without structures.
     """
