@@ -41,8 +41,9 @@ The ideal force is the force of a haptic loop without delay, encoder steps and f
 was chosen in the scene ``needle``, by the excess error of predictions 4 ms ahead divided by the
 excess error of zero-order hold. This ratio is 0.80 with a weight of 0, 0.57 with 0.25, and 0.94
 with 0.5. With larger weights, the predicted force differs more from the measured force, and the
-guard of the predictor replaces it. For a cutting tool, the ideal force is not used: it belongs to
-another cut than the recorded force. In the scene ``caries``, it is a worse target.
+guard of the predictor replaces the prediction. For a cutting tool, the ideal force is not used,
+because it belongs to another cut than the recorded force. In the scene ``caries``, it makes
+predictions worse.
 """
 DELAYS_MS = (0, 4, 8)
 """Latencies of the haptic loop [ms], which the training runs use in turn.
@@ -138,7 +139,7 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
         Latency [ms]. Default: the values of `DELAYS_MS` in turn.
     share
         Factor on the force of the tissue. If the force is linear in the moduli or in the cutting
-        coefficients, the factor has the same effect on these constants.
+        coefficients, the factor has the effect of scaling these constants.
     """
     delay = DELAYS_MS[index // len(GROUPS) % len(DELAYS_MS)] if delay_ms is None else delay_ms
     held = scene if scene.device is not None else changed(scene, {"device": "touch"})

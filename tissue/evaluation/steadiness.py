@@ -102,7 +102,7 @@ def steadiness(
     constants
         Constants of the hands, which define the assumed grip and the scale of the score.
     scored
-        Number of ticks, from the first, whose tremor is rated; default all. At least the first
+        Number of ticks from the start whose tremor is rated. Default: all ticks. At least the first
         second is rated.
 
     Raises

@@ -49,9 +49,9 @@ MASS_KG = 0.05
 
 @cache
 def drag_N_s_m() -> float:
-    """Compute a burr's damping [N s/m], force per feed speed, 1 mm deep in cortical bone.
+    """Compute the force per feed speed [N s/m] of a burr that is 1 mm deep in cortical bone.
 
-    The burr moves along its axis.
+    The burr moves along its axis. The ratio acts as damping.
     """
     # a block that is wider than the burr and 1 mm deeper than the plunge, in the voxels of a scene
     volume = voxelise(cortical_block(size_mm=(7, 7, 2)), spacing_m=1e-4)

@@ -171,7 +171,7 @@ They range from below the lowest bound 2 f / Δ to just below the critical stiff
 
 
 class Push:
-    """Hand that pushes with a constant force, and with additional 2 N in the first tick."""
+    """Hand that pushes with a constant force, and with 2 N more in the first tick."""
 
     def __init__(self, steady_N: float) -> None:
         self._steady = steady_N

@@ -45,9 +45,9 @@ Command = Callable[[Array], Array]
 class SimulatedObservers:
     """Simulated observers with known parameters, as arrays of shape (n,).
 
-    The threshold of discrimination at the force F is kappa (F + offset). Two forces that differ by
-    the threshold are felt at a distance of 0.954. To each of them, noise of unit variance is added.
-    75 % of the answers at the threshold are therefore right. A person rates a force F with the
+    The threshold of discrimination at the force F is kappa (F + offset). If two forces differ by
+    the threshold, the felt intensities differ by 0.954. Each felt intensity has noise of unit
+    variance, so 75 % of the answers at the threshold are right. A person rates a force F with the
     number alpha (F / 1 N)^beta, with noise in the logarithm of the number.
 
     Attributes

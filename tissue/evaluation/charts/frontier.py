@@ -32,9 +32,9 @@ from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 
 OFFERED_US = 800.0
-"""Largest 99th percentile of the computing time of a tick [us] for a further refinement.
+"""Limit of the computing time of a tick [us], as 99th percentile, in the search for finer settings.
 
-If a finer setting takes longer, settings that are finer still are not measured. The haptic loop
+If a finer setting exceeds the limit, no setting that is finer still is measured. The haptic loop
 needs the rest of the tick of 1 ms.
 """
 

@@ -191,7 +191,7 @@ def rejection_rates(
 def _rejections(
     values: Array, groups: Ints, question: str, rng: np.random.Generator
 ) -> dict[str, Flags]:
-    """For each test, keyed by name, return a flag for each population in which it rejects.
+    """Return the flags of the populations in which a test rejects, keyed by the name of the test.
 
     The values have the shape (populations, metrics, users, methods). A multivariate test is left
     out if there are too few users for it, or a metric is a linear combination of others.

@@ -23,8 +23,8 @@ LEVEL = 0.95
 TAILS = (0.5 * (1.0 + LEVEL), 0.5 * (1.0 - LEVEL))
 """Probabilities that define the lower and the upper end of an interval.
 
-The lower end is the true value for which a result below the measured result has the first
-probability. The upper end is the true value for the second probability.
+If the true value is the lower end, a result below the measured result has the first probability. If
+the true value is the upper end, such a result has the second probability.
 """
 MOST = 5000
 """Largest sample for which the p value of Shapiro and Wilk's test is known (Royston 1995)."""

@@ -26,8 +26,8 @@ The excess travel has three parts. The first part is the immediate relaxation of
 tip advances by dF / k_c relative to the device, where dF is the drop of the force P. The device
 advances by more than dF / K_0, because of its inertia. No hand can prevent this part. The second
 part is the motion of the aim until the hand stops: da/dt times the delay from puncture to stop. The
-third part is the response of the aim to the sudden advance of the device. The third part occurs in
-the time by which the delay exceeds the reaction time.
+third part is the response of the aim to the sudden advance of the device. It begins one reaction
+time after the puncture and ends when the hand stops.
 """  # noqa: E501 a table
 
 from math import inf
