@@ -157,8 +157,8 @@ class Assessment:
         run, magnitude of the force [N], and depth [mm]. The depth is measured along the mean tool
         axis of the reference run, from the place of the first contact in that run.
     notes
-        One sentence for each difference between the two runs because of which `figures` cannot be
-        fully compared.
+        One sentence for each difference between the two runs that limits the comparison of
+        `figures`.
     unscored
         Reason why the run has no score. Empty if the run has a score.
     """

@@ -38,12 +38,11 @@ IDEAL_SHARE = 0.25
 """Weight of the ideal force in the training targets of predictors, if the tool does not cut.
 
 The ideal force is the force of a haptic loop without delay, encoder steps and filters. The weight
-was chosen in the scene ``needle``, by the excess error of predictions 4 ms ahead divided by the
-excess error of zero-order hold. This ratio is 0.80 with a weight of 0, 0.57 with 0.25, and 0.94
-with 0.5. With larger weights, the predicted force differs more from the measured force, and the
-guard of the predictor replaces the prediction. For a cutting tool, the ideal force is not used,
-because it belongs to another cut than the recorded force. In the scene ``caries``, it makes
-predictions worse.
+was chosen in the scene ``needle``. There, the ratio of excess errors, prediction 4 ms ahead over
+zero-order hold, is 0.80 with a weight of 0, 0.57 with 0.25, and 0.94 with 0.5. With larger weights,
+the predicted force differs more from the measured force, and the guard of the predictor replaces
+the prediction. For a cutting tool, the ideal force is not used, because it belongs to another cut
+than the recorded force. In the scene ``caries``, this target makes predictions worse.
 """
 DELAYS_MS = (0, 4, 8)
 """Latencies of the haptic loop [ms], which the training runs use in turn.
@@ -217,7 +216,7 @@ class Recorder:
     def ideal_force_N(self, scene: Scene, run: Recording) -> Array:
         """Compute the ideal force [N] on the device path of a run, shape (n, 3).
 
-        The ideal force is that of a loop without delay, encoder steps and filters; see
+        The ideal force is the force of a loop without delay, encoder steps and filters; see
         `tissue.simulation.reference_force.ideal_force_N`.
 
         Parameters

@@ -226,8 +226,8 @@ def compliance_m_N(body: ParticleBody, fill: float) -> float:
 def at_fill(fill: float) -> dict[str, float]:
     """Compute condition numbers with and without stabilisation, and the change of compliance.
 
-    The inner stiffness of a cell stabilises cut cells. ``fill`` is the filled fraction of each cut
-    cell, 0 to 1.
+    Cut cells are stabilised by an additional stiffness, a fraction of a full cell's inner
+    stiffness. ``fill`` is the filled fraction of each cut cell, 0 to 1.
     """
     stabilised = cut_block(fill, INNER_STRENGTH)
     condition, scaled = conditions(stabilised)
@@ -264,7 +264,7 @@ class CutCells(Page):
         return {"fill": sweep("fill", np.geomspace(1.0, 2e-4, 13), at_fill)}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the condition numbers with and without stabilisation; report lost compliance."""
+        """Compare the condition numbers with and without stabilisation; report the cost."""
         table = data["fill"]
         carried = table["carried"] > 0.0
         worst = table["scaled"].max()

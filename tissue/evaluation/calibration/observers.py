@@ -6,9 +6,9 @@ perceptual noise of the person is not scaled, because it is added after the mapp
 therefore changes discrimination only relative to the perceptual noise. An exponent or a gain above
 1 improves discrimination: the differences between forces increase, or the forces exceed the
 low-force term of the threshold. An exponent or a gain below 1 impairs discrimination. Calibration
-gives every person the exponent of the reference observer. The discrimination of people with a lower
-exponent improves, and that of people with a higher exponent becomes worse. The mean over a
-population may increase or decrease.
+gives every person the exponent of the reference observer. Discrimination improves for people with a
+lower exponent, and becomes worse for people with a higher exponent. The mean over a population may
+increase or decrease.
 """
 
 from collections.abc import Callable, Sequence

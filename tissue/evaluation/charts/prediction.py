@@ -173,8 +173,8 @@ def chart_prediction(
     Raises
     ------
     InputError
-        If `folder` is a file or already contains a chart and `overwrite` is false, `trials` is
-        below 2, or a scene cannot be run.
+        If `trials` is below 2, a scene cannot be run, `folder` is a file, or `folder` contains a
+        chart and `overwrite` is false.
     """
     # one run has no interval
     if not 2 <= trials <= MOST_TRIALS:

@@ -308,7 +308,7 @@ def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
     """Return the distance [mm] of each point of a path from the model path, shape (n,).
 
     Only the part of the model path near the aligned row is searched. For points that are aligned
-    with the largest row, the whole rest of the model path is searched too.
+    with the last aligned row, the rest of the model path after this row is searched too.
 
     Parameters
     ----------
@@ -334,9 +334,9 @@ def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
 def followed_ticks(model: Array, rows: Ints) -> Flags:
     """Return True for each point of a path with a corresponding place on the model path.
 
-    The alignment may end before the last row of the model path. If the model path moves farther
-    than `TREMOR_MM` from this end, only the first point aligned with the end and all points before
-    it have a corresponding place. See :func:`deviation_mm` for the parameters.
+    The alignment may end before the last row of the model path. If the model path then moves
+    farther than `TREMOR_MM`, points of the path after the first point aligned with this end have no
+    corresponding place. See :func:`deviation_mm` for the parameters.
     """
     end = rows[-1]
     goes_on = np.linalg.norm(model[end:] - model[end], axis=1).max() > TREMOR_MM

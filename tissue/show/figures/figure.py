@@ -227,7 +227,7 @@ def torque_unit(torque_Nm: float) -> tuple[str, float]:
 def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
     """Return the colour of each layer as red, green and blue from 0 to 1, keyed by name.
 
-    Layers with a common name, such as ``dentin``, have the same colour in every scene.
+    The layers in `LAYERS`, such as ``dentin``, have the same colour in every scene.
     """
     from matplotlib.colors import to_rgb
 

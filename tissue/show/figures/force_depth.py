@@ -35,8 +35,8 @@ APPROACH_MM = 0.2
 def deepening_rows(coordinate_mm: Array, contact: Flags) -> Ints:
     """Return the rows of the trace in which the tip is deeper than in all previous rows.
 
-    The rows start where the tip is `APPROACH_MM` above its position at the first contact. Motion
-    sideways and upwards has no rows, so that each depth occurs only once.
+    The rows start where the tip is `APPROACH_MM` above its position at the first contact. Rows of
+    sideways or upward motion are left out, so that each depth occurs only once.
 
     Parameters
     ----------

@@ -258,7 +258,7 @@ SATURATED = "#F0E442"
 def draw_played(run: Run, path: Path) -> None:
     """Draw the forces at the device [N] and the positions of tool and device [mm] over time.
 
-    Shading marks the times at which the force is reduced to the range of the device.
+    Shading marks the times at which the force is compressed into the range of the device.
 
     A separate panel enlarges the interval with the largest change of force per millisecond in
     contact.

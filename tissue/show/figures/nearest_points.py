@@ -30,10 +30,10 @@ class Closest:
     row
         Row of the trace with the smallest distance.
     points_mm
-        Nearest points of the tool and of the structure [mm], shape (2, 3). In an overlap, the
-        deepest point of the tool, and the point of the structure's surface that is nearest to it
-        in the direction of the depth. The length of the line between the two points is the
-        magnitude of the distance.
+        Nearest points of the tool and of the structure [mm], shape (2, 3). In an overlap, the first
+        point is the deepest point of the tool. The second point lies on the structure's surface, in
+        the direction in which the depth is measured. The length of the line between the points is
+        the magnitude of the distance.
     """
 
     name: str

@@ -1,7 +1,7 @@
 """Section through the tool, with layers, removed tissue, stress and structures to keep clear of.
 
 The plane goes through the deepest point of the tool. For a scene with structures to keep clear of,
-it goes through the tool's axis and the nearest point of a structure.
+the plane contains the tool's axis and the nearest point of a structure.
 """
 
 from dataclasses import dataclass
@@ -96,8 +96,8 @@ def _points_mm(axes: Array, origin_mm: Array, u_mm: Array, v_mm: Array) -> Array
 def plane_of(run: Run, row: int) -> tuple[tuple[int, int, int], float]:
     """Return the section plane through the deepest point of the tool up to a row of the trace.
 
-    The plane is parallel to two world axes: the axis closest to the tool's axis, and, of the other
-    two axes, the one along which the tool moves farther.
+    The plane is parallel to two world axes. The first axis is closest to the tool's axis. The
+    second axis is the remaining axis along which the tool moves farther.
 
     Returns
     -------
@@ -204,8 +204,8 @@ def nearest_frame(series: FieldSeries, time_s: float) -> Frame | None:
 def moment_of(run: Run) -> tuple[int, Frame | None]:
     """Return the row of the trace and the frame of fields that the section shows.
 
-    The frame is that of `loaded_frame`, and the row has the same time. Without stress, the frame is
-    None, and the row is the last row with contact or, without contact, the last row.
+    With stress fields, the frame of `loaded_frame` and the row at its time are returned. Otherwise,
+    the frame is None, and the row is the last row with contact or, without contact, the last row.
     """
     series = run.parts.fields
     frame = None if series is None else loaded_frame(series)

@@ -1,4 +1,4 @@
-"""Surfaces of tools and of infinite faces such as a wall, for drawing, and tool poses."""
+"""Drawable surfaces of tools and of infinite faces, such as a wall, and poses of tools."""
 
 from contextlib import suppress
 from pathlib import Path

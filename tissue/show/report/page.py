@@ -116,7 +116,7 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
 
 
 def _distance_text(kept: Summary) -> str:
-    """Return a text with the breach of a structure, or the smallest distance and the margin."""
+    """Return a text with the breach of a structure, or the smallest distance without a breach."""
     if (breach_s := kept.get("first_breach_s")) is not None:
         return f"breached, {kept['breach_depth_mm']:.2g} mm deep, first at {breach_s:.3f} s"
     distance = f"{kept['least_distance_mm']:.3f} mm"

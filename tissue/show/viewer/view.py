@@ -283,8 +283,8 @@ OPENS_S = 120.0
 CLOSES_S = 10.0
 """Longest time until a page is closed [s].
 
-`OPENS_S` is the longest time until a page is served. It is long because a large run is read and
-drawn before its page is served.
+`OPENS_S` is the longest time until a page is served. It is longer, because a large run must be read
+and drawn first.
 """
 
 
