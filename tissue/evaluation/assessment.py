@@ -35,7 +35,7 @@ from tissue.simulation.trace import Table
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[+-]\d+)?")
 """Number without sign in a sentence about a run."""
 GAP_S = 0.15
-"""Longest time [s] between two time spans above a limit that count as one time span.
+"""Longest time [s] between two exceedances of a limit that count as one.
 
 The value is a period of slow tremor. Without this rule, a trembling hand near a limit would exceed
 the limit once in each period.

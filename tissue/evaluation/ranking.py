@@ -133,9 +133,9 @@ class Ranking:
         Sentence with the reason for each run that is not ranked. For example, the run has another
         task than the reference run, or no score.
     notes
-        Names of runs, keyed by a sentence. The sentence describes how these runs differ from the
-        scene of the reference run, or that they did not finish their paths. Sentences that differ
-        only in numbers are merged into one sentence with ranges of the numbers.
+        Names of runs, keyed by a sentence. The sentence states a difference from the scene of the
+        reference run, or an unfinished path. Sentences that differ only in numbers are merged into
+        one sentence with ranges of the numbers.
     """
 
     scene: str

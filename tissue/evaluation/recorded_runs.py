@@ -38,7 +38,7 @@ IDEAL_SHARE = 0.25
 """Weight of the ideal force in the training targets of predictors, if the tool does not cut.
 
 The ideal force is the force of a haptic loop without delay, encoder steps and filters. The weight
-was chosen in the scene ``needle``. There, the ratio of excess errors, prediction 4 ms ahead over
+was chosen in the scene ``needle``. There, the excess error of predictions 4 ms ahead, relative to
 zero-order hold, is 0.80 with a weight of 0, 0.57 with 0.25, and 0.94 with 0.5. With larger weights,
 the predicted force differs more from the measured force, and the guard of the predictor replaces
 the prediction. For a cutting tool, the ideal force is not used, because it belongs to another cut

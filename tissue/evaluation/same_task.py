@@ -25,7 +25,7 @@ MAY_DIFFER = frozenset(
 ) | {"keep_clear.margin_mm"}
 """Keys in the scene parts of `TASK` that may differ between runs of one task, with a note.
 
-The keys of the organ are numerical. The margin only triggers an event.
+The organ keys belong to the numerical method. The margin only triggers an event.
 """
 FREE = ("name", "description", "seed", "device", "output", "fidelity")
 """Scene keys that may differ between a trainee's run and the reference run without a note.

@@ -160,8 +160,8 @@ With two forces, the device is tested at two different positions between encoder
 FRICTIONS_N = np.array([0.003, 0.008, 0.02, 0.04, 0.08])
 """Coulomb frictions f [N].
 
-Up to the wall stiffness 2 f / Δ, where Δ is the encoder step, the device does not buzz. For these
-frictions, this bound is 60 to 1600 N/m, below the critical stiffness 2 b / T.
+Up to the wall stiffness 2 f / Δ (Δ: encoder step), the device does not buzz. These bounds are 60 to
+1600 N/m, below the critical stiffness 2 b / T.
 """
 LADDER_N_M = np.geomspace(40.0, 1950.0, 9)
 """Tested wall stiffnesses [N/m].

@@ -40,8 +40,8 @@ The key is True for a quick chart and False for a full chart.
 TET_SHARES = {True: (1.0, 0.8, 0.64), False: (1.0, 0.5**0.5, 0.5)}
 """Edges of tetrahedra in three meshes, relative to the scene; see `VOXEL_SHARES`.
 
-Half the edge gives seven times as many unknowns, 140,000 for a liver. Meshes with more similar
-edges do not show the order of convergence, because the force varies irregularly from mesh to mesh.
+With half the edge, a mesh has seven times as many unknowns: 140,000 for a liver. Meshes with more
+similar edges do not show the order of convergence, because the force varies irregularly.
 """
 PLACES = ((0.0, 0.0, 1.0), (-0.37, -0.61, 1.07), (0.61, 0.37, 0.93))
 """Shift of the tool path along x and y, and factor on its depth, for three positions.

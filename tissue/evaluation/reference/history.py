@@ -245,7 +245,7 @@ def means_over_50_ms(values: Array) -> Array:
 
 
 FORMAL_ORDER = 2.0
-"""Formal order of convergence of the force: upper limit of the order in a convergence index."""
+"""Formal order of convergence of the force; a convergence index uses no larger order."""
 ASYMPTOTIC = 0.5, 2.2
 """Range of observed orders of convergence that counts as asymptotic.
 

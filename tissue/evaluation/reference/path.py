@@ -66,10 +66,10 @@ class ConvexPart:
         return np.where(outside, least, -least)
 
     def least_on_path(self, start: Array, end: Array, *, within: Array) -> Array:
-        """Return the smallest signed distance of points that move straight from start to end [m].
+        """Return the smallest signed distance [m] between the body and each moving point.
 
-        ``start`` and ``end`` have shape (n, 3) [m]. A result that is larger than ``within``, shape
-        (n,) [m], is only a lower bound of the distance.
+        The points move straight from ``start`` to ``end``, shape (n, 3) [m]. A result that is
+        larger than ``within``, shape (n,) [m], is only a lower bound of the distance.
         """
         height, radius = self.bounding_ball
         bound = _to_segment(np.array([0.0, 0.0, height]), start, end) - radius

@@ -80,10 +80,10 @@ def redrawn_power(
     The estimate was tested in 25 simulated studies with normal data and a true rate of false alarms
     of 5 %. For sign flips, the mean estimate is 5.1 to 5.4 %, depending on the question (3.7 to 6.4
     % in single studies). Without the noise, the mean estimate is 5.6 to 7.8 % (up to 10.8 % in
-    single studies). For the F test, the mean estimate is too high: 5.5 % for groups, 5.9 % for
-    methods and 7.1 % for their interaction (up to 8.4 % in single studies). The reason is that the
-    covariance of ten users is never exactly spherical. ``python tests/bench/bench_null.py --only
-    redrawn`` measures these rates.
+    single studies). For the F test, the mean estimate is too high, because the covariance of ten
+    users is never exactly spherical. It is 5.5 % for groups, 5.9 % for methods and 7.1 % for their
+    interaction (up to 8.4 % in single studies). ``python tests/bench/bench_null.py --only redrawn``
+    measures these rates.
 
     The returned power is the power for an effect of the measured size. The power is too high if the
     true effect is zero or small, because the measured size contains a random error.

@@ -191,7 +191,7 @@ def partial_eta_squared(statistic: float, above: float, below: float) -> Effect:
     variation and the variation of the error.
 
     Each end of the interval is L / (L + above + below + 1), where L is the noncentrality parameter
-    of F at this end (Steiger 2004). The interval is for the population, where the share is smaller
+    of F at this end (Steiger 2004). The interval is for the population, where this ratio is smaller
     on average than in a sample. The value can therefore lie above its interval.
 
     Parameters

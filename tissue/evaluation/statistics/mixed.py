@@ -40,8 +40,6 @@ LEAST = 1e-6
 def mixed_model(table: TrialTable, metric: str) -> list[HypothesisTest]:
     """Fit a mixed model of a metric by restricted likelihood; return F tests of its fixed effects.
 
-    A test has the degrees of freedom of the effect and of its error term (stratum).
-
     The model is metric = mean + group x method (x task) + user + user by method + trial + rest.
 
     The interaction of users with methods is a separate random term. Without this term, the test of

@@ -101,11 +101,11 @@ def effect_scores(
 
 
 def _squares(scores: Array, groups: Ints, *, between: bool) -> tuple[Array, Array, int, int]:
-    """Return sums of squares and products of an effect and its error, and their degrees.
+    """Return sums of squares and products of an effect and its error, and degrees of freedom.
 
-    The degrees of freedom are the last two results. Scores have shape (..., users, columns). The
-    sums have shape (..., columns, columns). If `between` is true, the effect is the difference of
-    groups. Otherwise, the effect is the mean over groups with equal weights.
+    Scores have shape (..., users, columns). The sums have shape (..., columns, columns). If
+    `between` is true, the effect is the difference of groups. Otherwise, the effect is the mean
+    over groups with equal weights.
     """
     counts = np.bincount(groups)
     means = group_means(scores, groups)

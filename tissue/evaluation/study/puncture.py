@@ -1,7 +1,5 @@
 """Simulation of a hand that pushes a needle with a rising force until a membrane punctures.
 
-The hand stops one reaction time after it has noticed the puncture.
-
 The needle's tip starts 0.05 mm outside an organ that lies below z = 0. A hand pushes the tip along
 -z through a device. The force of the hand rises at ``rate_N_s``
 (`tissue.haptics.hand.pushing.PushingHand`). The positions of the hand's aim a, the device s and the

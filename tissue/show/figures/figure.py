@@ -188,10 +188,7 @@ colours (Moreland 2009; van der Walt and Smith 2015; Harrower and Brewer 2003).
 """
 OTHER_LAYERS = ("#CC79A7", "#F0E442", "#0072B2", "#D55E00")
 COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
-"""Colours of the x, y and z components of a vector, after Okabe and Ito (2008).
-
-Colour-blind readers can distinguish the colours.
-"""
+"""Colours of the x, y and z components of a vector, after Okabe and Ito (2008)."""
 MAGNITUDE = "0.88"
 SMALL_NM = 0.02
 """Torque [N m] below which a picture uses the unit mN m.

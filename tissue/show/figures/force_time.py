@@ -180,7 +180,7 @@ def draw_force_torque(run: Run, path: Path) -> None:
 def _draw_components(
     axes: "Axes", run: Run, name: str, unit: str, scale: float, label: str
 ) -> None:
-    """Draw a vector's model components in front of the components commanded to the device.
+    """Draw a vector's components: values of the model in front of commanded values.
 
     With simulated vibration by the cutter's teeth, the commanded components look like wide bands.
     """
