@@ -41,7 +41,7 @@ class Draft:
     sentences
         Description of the import for users.
     has_site
-        True if the scene contains the site that it needs, so that it can be run without changes.
+        True if the scene contains the site that is needed for a run, or needs no site.
     """
 
     scene: str

@@ -25,7 +25,7 @@ class Imported:
     scene
         File of the scene.
     has_site
-        True if the scene contains the site that it needs, so that it can be run without changes.
+        True if the scene contains the site that is needed for a run, or needs no site.
     sentences
         Results and assumptions.
     """

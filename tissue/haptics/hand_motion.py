@@ -225,8 +225,8 @@ class HandMotion(Motion):
     def device(self) -> Device:
         """Device that the hand moves.
 
-        Another device may be set only before the first tick, because the sample guard and the
-        measures are then replaced, too.
+        Set another device only before the first tick, because the sample guard and the measures are
+        then replaced.
         """
         return self.held.device
 

@@ -155,10 +155,10 @@ class Comparison:
         Parameters
         ----------
         over
-            ``time``; or ``depth`` of the tool's tip below the point of first contact, in the ticks
-            in which the tip is deeper than before. The default is depth if this motion is more than
-            half of the path of every tool in contact. A needle that is withdrawn is drawn over
-            time.
+            ``time``; or ``depth`` of the tool's tip below the point of first contact. Over depth,
+            only the ticks are drawn in which the tip is deeper than in all earlier ticks. The
+            default is depth if, for every tool, the depth exceeds half of the tip's path in
+            contact. A needle that is withdrawn is drawn over time.
 
         Returns
         -------
@@ -456,8 +456,9 @@ def _stated(key: str, value: object, keys: Iterable[str]) -> str:
 def _names(runs: list[Run]) -> list[str]:
     """Return names for runs, taken from their folders or scenes; equal names are numbered.
 
-    If all runs are in different folders, a name has the parent folder and the folder of the run,
-    and further folders above them if these names are equal. Parts that all runs share are left out.
+    If all runs are in different folders, a name consists of the parent folder and the folder of the
+    run. If two such names are equal, folders above them are added. Parts that all runs share are
+    left out.
     """
     plain = [run.scene.name if run.path is None else run.path.resolve().name for run in runs]
     folders = [run.path.resolve().parts for run in runs if run.path is not None]

@@ -122,7 +122,7 @@ def fit(
         optionally their standard deviations (``thrust_pm_N``, ``torque_pm_Nmm`` or
         ``torque_pm_Nm``). A table of presses has ``depth_mm``, ``force_N`` and optionally
         ``probe``, the number of the press. For a table of presses, the tool of the scene must be
-        the ball, and its anatomy a slab as thick as the tissue.
+        the ball, and the anatomy must be a slab with the thickness of the tissue.
     free
         Constants to fit, such as ``cutting.trabecular`` or ``cutting.edge``. The default is all
         constants of the touched tissue that have a published range; see docs/guide/fit.md.

@@ -340,7 +340,7 @@ class Organ:
         ----------
         edge_mm
             Longest edge at the points `near_mm` [mm]. Away from these points, the longest edge
-            increases by half of the distance to the nearest of them.
+            increases by half of the distance to the nearest point.
         near_mm
             Points [mm], shape (k, 3) or (3,), near which the mesh is refined; default the whole
             surface. Each point is moved to the nearest point of the surface. From the second press

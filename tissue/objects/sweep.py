@@ -169,7 +169,7 @@ class Sweep:
         return Comparison({each.name: each.open() for each in self.finished})
 
     def plot(self, figures: list[str] | None = None) -> NDArray[np.object_]:
-        """Plot summary values over the first swept key; each value of the second key is a line.
+        """Plot summary values over the first swept key, with a line for each value of the second.
 
         Wide bars show 90 % intervals, if the runs have uncertainty bands.
 
@@ -462,7 +462,7 @@ def _holds(path: Path, scene: Scene) -> bool:
 def _results(
     run: "partial[str]", left: list[tuple[SweptRun, bool]], *, workers: int, report: Progress
 ) -> Iterator[tuple[str, str]]:
-    """Run the remaining runs; yield the name, and the error message or an empty text, of each."""
+    """Run the remaining runs; yield each run's name and error message (empty without an error)."""
     total = len(left)
     jobs = [
         (each.path, each.scene.model_dump_json(exclude_unset=True), replaces)

@@ -252,7 +252,7 @@ def _meant(names: Key, keys: Mapping[Key, bool]) -> list[Key]:
 def _keys(
     table: Table, model: type[BaseModel], inside: Key = (), *, present: Key = ()
 ) -> Iterator[tuple[Key, bool]]:
-    """Yield the keys of all tables, each with True if the table has it with its chosen kind.
+    """Yield the keys of all tables, each with True if its table has the key with the chosen kind.
 
     Keys that a table would have with another kind are yielded only for the table `present` and for
     the motion.
@@ -383,7 +383,10 @@ def entries(table: Table, prefix: str = "") -> Iterator[tuple[str, object]]:
 
 
 def _shown(value: object) -> str:
-    """Return an invalid value as text, with decimal point and quotes, which may be the fault."""
+    """Return an invalid value as text.
+
+    Quotes and decimal point are kept, because they may be the fault.
+    """
     if isinstance(value, float) and value.is_integer():
         return repr(value)
     return f'"{shown(value)}"' if isinstance(value, str) and value[:1].isdigit() else shown(value)

@@ -375,7 +375,7 @@ class Helper:
         return answer
 
     def _lost(self, why: str = "") -> HelperLostError:
-        """Return the error for a helper that is lost; without a reason, it has ended."""
+        """Return the error for a lost helper; if no reason is given, the helper has ended."""
         return HelperLostError(
             f"the process that {self._does} {why or _how_ended(self._process.returncode)}"
         )

@@ -65,7 +65,7 @@ class TickPriority:
             self._begin_linux()
 
     def end(self) -> None:
-        """Restore the priority; callable from any thread, even after the raised one has ended."""
+        """Restore the priority; any thread may call this, even after the raised one has ended."""
         restore = self._restore
         self._restore = None
         if restore is None:

@@ -33,7 +33,7 @@ A jump or a blow causes two rough samples in a row, and thus a share of 0.23. Si
 a share above the limit `ROUGH`.
 """
 STALE = 0.25
-"""Weight of a sample that repeats the last sample, in the share of rough samples.
+"""Weight of a repeated sample in the exponential mean of the share of rough samples.
 
 With a weight of 0, the samples of a device at rest would never become valid again. A device at 250
 Hz repeats each sample three times. With a weight of 1, noise of such a device would give a share of
@@ -185,7 +185,7 @@ Samples are treated as noise if they repeatedly require a larger acceleration. A
 a device's motors cause about 200 m/s^2. A blow causes 1000 m/s^2 for one or two ticks.
 """
 FADE_S = 0.02
-"""Time in which the force fades to zero without valid samples, and in which it returns [s]."""
+"""Time in which the force fades to zero without valid samples, or returns with them [s]."""
 
 
 class SampleGuard:

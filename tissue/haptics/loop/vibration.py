@@ -20,7 +20,7 @@ BAND_LIMIT_HZ = 250.0
 Vibration is felt best near this frequency (Pacinian receptors).
 """
 ENVELOPE_S = 0.05
-"""Averaging time of the force to which the amplitude of the vibration is proportional [s].
+"""Averaging time of the force [s]; the vibration is proportional to the averaged force.
 
 A haptic loop may oscillate at 10 Hz and above. The averaging reduces the amplitude of such an
 oscillation to a third or less. The reduced oscillation returns to the loop at frequencies near 250
@@ -67,10 +67,9 @@ class Vibration:
         return self.share * cos(2.0 * pi * self._turns * tick)
 
     def period(self, model_ticks: int = 1) -> Array:
-        """Return the vibration, divided by the average force, in a common period with the model.
+        """Return the vibration divided by the average force, over a common period with the model.
 
-        The common period has n steps of the tissue model, and the result has shape (model_ticks,
-        n).
+        The common period is n steps of the tissue model. The result has shape (model_ticks, n).
 
         If the period of the vibration is longer than `MOST_PERIOD_TICKS` ticks, the nearest
         vibration with a shorter period is used.

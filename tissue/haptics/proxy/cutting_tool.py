@@ -80,10 +80,10 @@ class CutTissue(Protocol):
     def forces(self, velocity: Array, *, unknowns: int) -> tuple[Array, Array]:
         """Return the force and torque on the tool, linearised at a velocity.
 
-        The first array is the linearised wrench at zero velocity, shape (6,). The second array has
-        its derivatives with respect to the first 3 or all 6 components of the velocity, shape (6,
-        unknowns). With 3 unknowns, the torque in the first array is the torque at the velocity
-        itself.
+        The first array is the value of the linear function at zero velocity, shape (6,). The second
+        array, shape (6, unknowns), has its derivatives with respect to the first 3 or all 6
+        components of the velocity. With 3 unknowns, the torque in the first array is the torque at
+        the velocity itself.
 
         All vectors have components along the axes of the tool at the pose of `find_bone`.
         """

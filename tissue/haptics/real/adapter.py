@@ -180,7 +180,7 @@ class RecordedAdapter(HardwareAdapter):
 
     name = "recorded"
     bounds_itself = True
-    """True, so the reach of the device is not checked; a file has no arm."""
+    """True: the reach of the device is not checked, because a file has no arm."""
 
     def __init__(self, hardware: "Hardware | None" = None) -> None:
         super().__init__(hardware)

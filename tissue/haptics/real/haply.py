@@ -438,7 +438,7 @@ class _Session:
 
     @property
     def _open_socket(self) -> "ClientConnection":
-        """Open connection; `OSError` is raised if another thread has ended it."""
+        """Return the open connection; raise `OSError` if another thread has closed it."""
         if self._socket is None:
             raise OSError("the session was ended")
         return self._socket
