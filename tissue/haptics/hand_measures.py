@@ -27,7 +27,7 @@ PREDICTED = (*(f"predicted_force_{c}_N" for c in "xyz"), "prediction_residual_N"
 """Trace columns of a prediction.
 
 The columns are the predicted force, the magnitude of the last prediction error for one tick ahead,
-and the source of the prediction: 1 for the predictor, 0 for its fallback.
+and the source of the prediction: 1 for the predictor, 0 for the fallback predictor.
 """
 PERCEIVED = ("estimated_force_N", "perceived", "perceived_spread", "above_threshold")
 """Trace columns of a perception model; see `tissue.perception.Perception`."""

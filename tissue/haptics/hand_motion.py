@@ -42,9 +42,10 @@ class Rendering:
     law
         Law that computes the force at the device [N] from the positions of device and tool.
     loop
-        Loop of the device and the law. The energy is computed with the delay of the loop, and force
-        and velocity pass the filters of the loop. Without a velocity filter, the velocity in the
-        sample is used. The tick of the loop is the time between two samples of the device.
+        Loop of the device and the law. The energy taken from the device is computed with the delay
+        of the loop. Force and velocity pass the filters of the loop. Without a velocity filter, the
+        velocity in the sample is used. The tick of the loop is the time between two samples of the
+        device.
     margin
         Stability margin: 1 minus the ratio of the stiffness to the critical stiffness.
     turning_law

@@ -289,7 +289,7 @@ class Comparison:
         return written
 
     def lines(self) -> list[str]:
-        """Return lines on scene keys that differ and on equal summary values, and the notes."""
+        """Return lines of text: scene keys that differ, equal summary values, and notes."""
         found = [
             f"{key}: {_each(self.runs, [_named(key, value) for value in values])}"
             for key, values in self.scene_differences.items()
@@ -333,8 +333,8 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
     runs
         At least two runs, or folders of runs.
     names
-        Names of the runs; default the names of the runs' folders, or of the scenes without folders.
-        If the parent folders differ, the names contain them.
+        Names of the runs; default the names of the runs' folders, or of the scenes for runs without
+        a folder. If the parent folders differ, the names contain them.
 
     Raises
     ------
@@ -376,7 +376,7 @@ def split_formats(formats: Iterable[str]) -> tuple[tuple[str, ...], tuple[str, .
 
 
 def shortened(key: str, values: Sequence[Any]) -> Sequence[Any]:
-    """Replace file paths by file names if these stay distinct; keep other values."""
+    """Replace file paths by file names if the names are distinct; keep other values."""
     if not names_file(full_key(key)):
         return values
     names = [None if value is None else Path(str(value)).name for value in values]

@@ -138,7 +138,8 @@ class Loop:
             Duration of a step without a device [ms], 1 to 1000. In a step of several ticks, the
             tool moves along a straight line. A curved path is therefore replaced by chords.
         cores
-            Number of processor cores for a scene; default all. The result does not depend on it.
+            Number of processor cores for a scene; default all. The result does not depend on this
+            number.
         limits
             Limits of the device: name of a known device, `tissue.DeviceParameters`, or a mapping of
             these parameters; default ``touch``. This option and all following options need a

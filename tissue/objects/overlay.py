@@ -26,7 +26,7 @@ MOST_NAMED = 12
 LONG = 28
 """Length of the longest name [letters] above which a line of the legend holds only two names."""
 SMALL = 0.05
-"""Ratio to the largest force component, below which a force component is not drawn."""
+"""Smallest ratio of a drawn force component to the largest force component."""
 MAINLY = 0.5
 """Ratio of depth to path length in contact, above which depth is the default abscissa."""
 WIDTHS = 2.2, 1.0

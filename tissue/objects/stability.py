@@ -90,8 +90,8 @@ def knock(
 ) -> Knock:
     """Simulate a hand that presses a device against a virtual wall, and disturb it with a force.
 
-    The hand holds the device 5 mm inside the wall. After 0.8 s, a force of 2 N pulls the device
-    outward for 20 ms. The hand has neither noise nor tremor. Sustained motion after the pull
+    The target position of the hand is 5 mm inside the wall. After 0.8 s, a force of 2 N pulls the
+    device outward for 20 ms. The hand has neither noise nor tremor. Sustained motion after the pull
     therefore shows that the control loop is unstable.
 
     Parameters

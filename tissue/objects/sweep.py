@@ -449,7 +449,8 @@ def _unfinished(
 def _holds(path: Path, scene: Scene) -> bool:
     """Return whether the folder holds a run of this scene.
 
-    If the scene requires a fidelity, it is compared with the settings that meet this requirement.
+    In a scene with a fidelity requirement, the requirement is first replaced by the settings that
+    meet it.
     """
     from tissue.evaluation.charts.frontier import with_fidelity
 
@@ -490,7 +491,7 @@ def _share(report: Progress, name: str, number: int, total: int, doing: str, sha
 
 
 def _same_share(report: Progress, doing: str, share: float = 1.0) -> None:
-    """Report a message with the completed share 1, whatever the given share is."""
+    """Report a message with the completed share 1, independent of the given share."""
     report(doing, 1.0)
 
 

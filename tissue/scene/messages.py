@@ -32,7 +32,8 @@ class _Place:
     Attributes
     ----------
     names
-        Names of the tables around the key, from the outside, and name of the key.
+        Names of the tables that contain the key, the outermost table first, then the name of the
+        key.
     table
         Table, as given by the user, that contains the key.
     model
@@ -172,7 +173,7 @@ def _idle_error(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle
 
 
 def _unknown_key(place: _Place, table: Table, model: type[BaseModel]) -> InputError:
-    """Return the error for a key that the table of its kind does not have.
+    """Return the error for a key that its table does not have with the chosen kind.
 
     The message suggests similar keys of this table, of this table with another kind, or of another
     table.

@@ -171,7 +171,7 @@ PROBES = Registry(
 NEEDLES: Registry[Callable[..., Any] | None] = Registry(
     "tool.kind", {"needle": None}, group="tissue.needles"
 )
-"""Needles: for a registered needle, a function that returns the tissue for the needle.
+"""Needles; the entry of a registered needle is a function that returns the needle's tissue.
 
 The argument ``walls`` of the function contains the membranes in the tissue, ordered by depth.
 """
@@ -210,7 +210,7 @@ RENDERERS: Registry[Callable[..., Any] | None] = Registry(
     },
     group="tissue.renderers",
 )
-"""Rendering laws: for a registered law, a function that makes it from a `WallLoop`."""
+"""Rendering laws; the entry of a registered law is a function that makes it from a `WallLoop`."""
 
 
 PREDICTORS = Registry(

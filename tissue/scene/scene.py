@@ -86,8 +86,8 @@ class KeepClear(Part):
     frame of the scene and the unit mm.
     """
     margin_mm: float = Field(0.0, ge=0, le=10, examples=[1.0])
-    """Distance that the tool must keep from each structure. An event reports when the distance is
-    smaller for the first time. With 0, only breaches are reported.
+    """Distance that the tool must keep from each structure. An event reports the first time at
+    which the distance is smaller. With 0, only breaches are reported.
     """
 
     def require_valid(self) -> None:

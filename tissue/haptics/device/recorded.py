@@ -162,7 +162,7 @@ class Fault:
 
 
 class FaultyDevice(ComputedDevice):
-    """Wrapper of a device that makes its samples faulty during a time, for tests.
+    """Wrapper of a device that makes its samples faulty for a limited time, for tests.
 
     During the fault, samples are dropped, late, repeated, or have a wrong position.
     """

@@ -56,7 +56,7 @@ The sum of 0.6 s is less than `GIVE_UP_S`.
 """
 OPENED = ", and give it without `with`: the run opens and closes it"
 IDLE = ("", inf)
-"""Stored name and start time of the running call while no call is running."""
+"""Stored name and start time of a call while no call of the device is running."""
 
 
 class SafeDevice:
@@ -92,7 +92,7 @@ class SafeDevice:
     entered
         True inside the ``with`` block.
     released
-        True if another thread has commanded zero force since the last read that was in time.
+        True if another thread has commanded zero force since the last read that was not late.
     slow_reads, slowest_read_s
         Number of reads that took longer than a tick, and the longest duration of such a read [s].
     """

@@ -174,7 +174,7 @@ def _steps(stiffness_N_m: float, loop: WallLoop) -> int:
 
 
 def nearest_stable_N_m(critical_N_m: float) -> float:
-    """Return a stable stiffness [N/m] with three digits below the critical stiffness."""
+    """Round the critical stiffness down to a stable stiffness with three digits [N/m]."""
     if not 0.0 < critical_N_m < inf:
         return critical_N_m
     unit = 10.0 ** (floor(log10(critical_N_m)) - 2)

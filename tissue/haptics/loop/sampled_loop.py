@@ -124,7 +124,7 @@ class WallLoop:
 
     @property
     def vibration_factors(self) -> Array:
-        """Vibration divided by the averaged force, shape (model_ticks, n), in n model steps."""
+        """Vibration divided by the averaged force, shape (model_ticks, n), over n model steps."""
         return (
             np.zeros((self.model_ticks, 1))
             if self.vibration is None

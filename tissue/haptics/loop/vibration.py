@@ -86,7 +86,7 @@ class PlayedVibration:
     """Vibration that is added to the force of a device, within the limits of the device.
 
     The vibration is F_v = share E cos(2 pi f t). E is the force F averaged with a time constant tau
-    of 0.05 s, E' = (F - E) / tau. Within a period of the vibration, E is nearly constant. The
+    of 0.05 s: dE/dt = (F - E) / tau. Within a period of the vibration, E is nearly constant. The
     vibration therefore hardly depends on the state of the loop. A change of the force at the
     frequency g returns through the vibration at the frequencies f - g and f + g. On this path, the
     amplitude of the change is multiplied by at most share / sqrt(1 + (2 pi g tau)^2). Two limits

@@ -59,8 +59,8 @@ class FoundDevice:
     limits
         Limits of the device; None without a device.
     problem
-        Sentence that names the missing hardware or software and its source; empty if the device can
-        be opened.
+        Sentence on the missing hardware or software and where to get it; empty if the device can be
+        opened.
     """
 
     name: str

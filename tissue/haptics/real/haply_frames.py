@@ -67,7 +67,7 @@ LEAST_M_S = 0.05
 For smaller values, a wrong order of states has no perceptible effect.
 """
 AGAINST = -0.5
-"""Cosine of the angle between displacement and velocity below which they contradict.
+"""Cosine of the angle between displacement and velocity, below which the two contradict.
 
 On a curved path, the displacement between two states and the velocity have different directions. An
 angle of more than 120 degrees means that the device moved backwards.

@@ -43,7 +43,7 @@ In the network protocol of this package, a device that receives no packets remov
 the same time.
 """
 REST_S = 0.05
-"""Longest wait at the end for zero force to be set by the vendor's thread [s]: 50 calls of it."""
+"""Longest wait at the end until the vendor's thread has set zero force [s]: 50 of its calls."""
 WINDOW = 10
 """Number of calls of the vendor's thread, 10 ms, over which velocities are computed.
 
