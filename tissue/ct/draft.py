@@ -137,7 +137,7 @@ def _write_image(image: Image, path: Path, about: Mapping[str, str]) -> None:
 
 
 def scene_name(folder: Path) -> str:
-    """Return the name of the scene, which follows from the name of the output folder."""
+    """Return the name of the scene, derived from the name of the output folder."""
     plain = re.sub(r"[^a-z0-9_-]+", "-", folder.resolve().name.lower()).strip("-_")
     return plain or "imported"
 

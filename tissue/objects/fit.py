@@ -37,7 +37,7 @@ class Fit:
 
     @property
     def verdicts(self) -> list[str]:
-        """Sentences on which constants the data determine, and on useful further measurements."""
+        """Sentences on the constants that the data determine, and on useful new measurements."""
         return self.fitted.verdicts
 
     @property

@@ -59,7 +59,7 @@ def child_command(module: str, *arguments: str) -> list[str]:
 
 
 def process_module(name: str) -> str:
-    """Return the module that a process of a live run executes; a name is, for example, ``window``.
+    """Return the module that a process of a live run executes, by its name such as ``window``.
 
     The modules are entry points of the group ``tissue.processes``.
 
