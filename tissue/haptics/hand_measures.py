@@ -24,7 +24,7 @@ The columns are, in this order:
 - Force of the renderer before prediction, filter and delay [N].
 """
 PREDICTED = (*(f"predicted_force_{c}_N" for c in "xyz"), "prediction_residual_N", "predicted_by")
-"""Trace columns of a prediction.
+"""Trace columns of a force prediction.
 
 The columns are the predicted force, the magnitude of the last prediction error for one tick ahead,
 and the source of the prediction: 1 for the predictor, 0 for the fallback predictor.

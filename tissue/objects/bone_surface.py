@@ -22,7 +22,7 @@ SEAM = 3.0
 
 Two parts of a surface are connected: the surface from the file, and the surface of the voxels near
 the cut. `MERGED` allows for rounding. `SEAM` allows for the gap between the boundary loops of the
-two parts. The value of `SEAM` is not measured but chosen.
+two parts. The value of `SEAM` is a design choice.
 """
 NEAR = 0.5
 AGREE = 0.8

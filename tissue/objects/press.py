@@ -36,7 +36,7 @@ SLOPE_SHARE = 0.1
 FAR = 0.1
 """Largest accepted ratio of a point's distance from the surface to the organ's longest side.
 
-A point farther away is treated as a mistake, for example in the unit. The value is chosen.
+A point farther away is treated as a mistake, for example in the unit. The value is a design choice.
 """
 NEAR_M = 1e-4
 """Distance from the surface below which a point counts as a point of the surface [m]."""
@@ -56,7 +56,7 @@ ACROSS = 7
 """Number of tool positions along each axis of the region in which a loop can touch the organ.
 
 The nodes that can get into contact are searched with a margin around each position, so the
-positions need not be close together. The number is not measured but chosen.
+positions need not be close together. The number is a design choice.
 """
 LAW_INTERVAL_S = 0.025
 """Time between two solutions of the hyperelastic deformation in a loop [s]."""

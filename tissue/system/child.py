@@ -223,7 +223,7 @@ NICE = 5
 
 If a process with niceness 5 and a process with niceness 0 need the same core, the first gets a
 third of the time of the second. Their weights are 335 and 1024 in the table
-``sched_prio_to_weight`` of Linux. The value is not measured but chosen.
+``sched_prio_to_weight`` of Linux. The value is a design choice.
 """
 
 

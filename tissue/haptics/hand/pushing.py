@@ -256,7 +256,7 @@ class CompensatedPath:
             square = float(aimed @ aimed)
             if square > 0.0:
                 # The ratio is the mean of its old and new value, so that one unusual correction has
-                # half of its effect. This is chosen.
+                # half of its effect. The factor is a design choice.
                 self._yields += 0.5 * (
                     min(max(float(went @ aimed) / square, LEAST_YIELD), 1.0) - self._yields
                 )

@@ -171,7 +171,7 @@ class ToolShell:
 STEP_M = 2.5e-4
 """Largest motion of the proxy in one step near solids [m].
 
-The value is chosen. The tests with exact solids also pass with 1 and 10 mm.
+The value is a design choice. The tests with exact solids also pass with 1 and 10 mm.
 """
 STEP_VOXELS = 0.5
 """Largest motion of the proxy in one step near voxels [voxels].
