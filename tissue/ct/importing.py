@@ -65,7 +65,7 @@ def import_ct(
     pictures
         If true, pictures are drawn.
     progress
-        Function that is called with a description of the current step.
+        Function that is called with the name of the current step and the completed share (0 to 1).
     **options
         Further options, listed below. The value None selects the default of an option.
 

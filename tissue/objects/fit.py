@@ -42,7 +42,7 @@ class Fit:
 
     @property
     def laws(self) -> tuple[LawMisfit, ...]:
-        """Misfit of each cutting law to a table of steady loads; empty for a log."""
+        """Misfit of each cutting law to a table of steady loads; empty for other measurements."""
         return self.fitted.laws
 
     def to_pandas(self) -> "pandas.DataFrame":
@@ -136,7 +136,7 @@ def fit(
         Memory that the log may take [GB]; default half of the free memory.
     progress
         Whether to show a progress bar; or a function that is called with the name of the current
-        work.
+        work and its completed share (0 to 1).
 
     Raises
     ------

@@ -437,8 +437,8 @@ class Loop:
         real_time
             Whether each tick waits until it is due on the wall clock. A real device needs this. The
             ticks then run in a second thread. If the tissue is hyperelastic, its deformation is
-            solved in a third thread. A sample of the device that is more than 1.5 ms late is not
-            used. If the device gets no command for 50 ms, it receives zero force. Without real
+            solved in a third thread. A read of the device that takes longer than 2.5 ms gives no
+            sample. If the device gets no command for 50 ms, it receives zero force. Without real
             time, the ticks wait for the solution of the hyperelastic deformation.
         on_tick
             Function that is called after every tick with the number of the tick and its row of the

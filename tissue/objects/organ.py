@@ -156,7 +156,8 @@ class Organ:
             Closed surfaces inside the organ, keyed by name. The volume inside each surface becomes
             a part with this name, whose modulus is in `parts`.
         progress
-            Function that is called with the name of the current work.
+            Function that is called with the name of the current work and its completed share (0 to
+            1).
 
         Raises
         ------
@@ -222,7 +223,8 @@ class Organ:
         edge_mm
             Edge length of the tetrahedra [mm]; default 1/14 of the longest side.
         progress
-            Function that is called with the name of the current work.
+            Function that is called with the name of the current work and its completed share (0 to
+            1).
 
         Raises
         ------

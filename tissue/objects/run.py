@@ -473,7 +473,7 @@ def report(
     overwrite
         Whether to replace an existing file.
     progress
-        Function that is called with the name of the current work.
+        Function that is called with the name of the current work and its completed share (0 to 1).
 
     Returns
     -------

@@ -77,8 +77,8 @@ class Knock(WallRun):
     Attributes
     ----------
     given_J
-        Total energy that the motors of the device delivered to the hand [J]. It is negative if the
-        motors absorbed energy.
+        Total work of the motors on the moving mass of the device [J]. It is negative if the motors
+        absorbed energy.
     """
 
     given_J: float

@@ -69,7 +69,7 @@ def run(
     retry
         Whether to run failed trials again.
     progress
-        Function that is called with the name of the current work and its completed share.
+        Function that is called with the name of the current work and its completed share (0 to 1).
 
     Raises
     ------

@@ -298,7 +298,7 @@ def sweep(
         an uncertainty band, and ``compare.png`` shows the bands. Finished runs without a band are
         run again.
     overwrite
-        Run finished runs again.
+        Whether to run finished runs again.
     progress
         As for `tissue.simulate`.
 
