@@ -124,10 +124,11 @@ class HandMotion(Motion):
     every ``model_ticks`` ticks, the tool and the rendered force do not change in the other ticks.
     In these ticks, a predictor uses only the motion of the device.
 
-    Tool and device start at the same position. The tool then moves ``motion_scale`` metres for each
-    metre of the device. If the device can apply torque, a rotational spring also couples the tool
-    to the device, and the torque of the tissue turns the tool. For a tool that does not cut, this
-    torque is from the last tick. The rendered torque also passes the low-pass and the delay.
+    Tool and device start at the same position, unless the script gives a device origin. The tool
+    then moves ``motion_scale`` metres for each metre of the device. If the device can apply torque,
+    a rotational spring also couples the tool to the device, and the torque of the tissue turns the
+    tool. For a tool that does not cut, this torque is from the last tick. The rendered torque also
+    passes the low-pass and the delay.
 
     Parameters
     ----------

@@ -114,7 +114,7 @@ def fit(
     ----------
     scene
         Scene with the tissue and the tool of the measurement. The poses of a log must be in the
-        frame of the scene. They replace the motion of the scene.
+        frame of the scene, and replace the motion of the scene.
     measured
         CSV, Parquet, HDF5, .mat or .npz file. The trace of a run needs no `columns`. A table of
         steady loads has the feed (``feed_mm_min`` or ``feed_mm_s`` with ``spin_rpm``, or

@@ -87,14 +87,14 @@ class Placed(Drilled):
     file: FileName = Field(examples=["scapula.stl"])
     """Surface file (.stl .obj .ply .vtk .vtp), image volume, or folder of TIFF or PNG slices."""
     centre_mm: Vector | None = Field(None, examples=[(0.0, 0.0, 0.0)])
-    """Centre of the site, where the tool works, in the file's frame. It becomes the origin. Without
-    this key, the program searches for the articular surface of a glenoid.
+    """Centre of the site where the tool works, in the file's frame. The centre becomes the origin.
+    Without this key, the program searches for the articular surface of a glenoid.
     """
     normal: Annotated[Vector | None, Needs("anatomy.centre_mm")] = Field(
         None, examples=[(0.0, 0.0, 1.0)]
     )
-    """Outward normal of the bone's surface at the site, in the file's frame. It becomes the z
-    axis.
+    """Outward normal of the bone's surface at the site, in the file's frame. The normal becomes the
+    z axis.
     """
     along: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
     """Direction in the file's frame; its component perpendicular to `normal` becomes the x axis."""

@@ -1,6 +1,7 @@
 """Loading of scenes by name or from TOML files, with overrides.
 
-Files of tissue 0.2 have the keys of the table ``device`` at the top level. They are converted.
+Files of tissue 0.2 have the keys of the table ``device`` at the top level. Such files are
+converted.
 """
 
 import tomllib

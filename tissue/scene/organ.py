@@ -91,9 +91,11 @@ class LiverFile(Held):
     becomes the origin.
     """
     normal: Vector = (0.0, 0.0, 1.0)
-    """Direction from the organ to the tool, in the file's frame. It becomes the z axis."""
+    """Direction from the organ to the tool, in the file's frame. This direction becomes the z
+    axis.
+    """
     along: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
-    """Direction in the file's frame whose component perpendicular to `normal` becomes the x axis.
+    """Direction in the file's frame; its component perpendicular to `normal` becomes the x axis.
     """
 
 

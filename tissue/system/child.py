@@ -257,7 +257,7 @@ def _main() -> None:
 ENDS_S = 10.0
 """Longest time that a helper process may take to end after its input was closed [s].
 
-After this time, the process is killed. It usually ends within milliseconds.
+After this time, the process is killed. A process usually ends within milliseconds.
 """
 Job = Callable[[], None]
 

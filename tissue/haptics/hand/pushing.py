@@ -264,7 +264,7 @@ class CompensatedPath:
 
 @dataclass
 class Thrust:
-    """Intended force along a line, which ends when the tool has completed its path.
+    """Intended force along a line; the force ends when the tool has completed its path.
 
     The target position of the hand follows the tool.
 

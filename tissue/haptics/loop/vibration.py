@@ -143,7 +143,7 @@ A transient takes 40 ms, so two transients never overlap. A tool that bounces ca
 transient.
 """
 SETTLED_S = 0.01
-"""Time for which a new layer must have the largest contact area [s].
+"""Time for which a new layer must have the largest contact area, to count as a change [s].
 
 At a border between two layers, the contact areas of both layers are nearly equal. Without this
 time, the layer with the larger area could change in every tick.

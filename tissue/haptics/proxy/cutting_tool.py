@@ -144,7 +144,7 @@ class CuttingTool(HeldTool):
         self._searched = None
 
     def rest(self) -> None:
-        """Set the velocity of the tool to zero."""
+        """Set velocity and wrench of the tool to zero."""
         self.velocity[:] = 0.0
         self.wrench[:] = 0.0
 
