@@ -110,7 +110,10 @@ class SlabAnatomy(WithNodule):
     size_mm: Annotated[tuple[Length_mm, Length_mm, Length_mm], Strict(False)] = (120.0, 80.0, 40.0)
     """Edge lengths along x, y and z."""
     edge_mm: float = Field(8.0, ge=0.5, le=20)
-    """Edge length of the tetrahedra at the top face, far from the tool. It increases downwards."""
+    """Edge length of the tetrahedra at the top face, far from the tool.
+
+    The edge length increases downwards.
+    """
 
 
 def _apart(depths_mm: dict[str, float]) -> dict[str, float] | None:

@@ -201,7 +201,7 @@ def await_ready(
 
 
 def _work_of(processes: Iterable[int]) -> tuple[float, bool]:
-    """Return the processor time [s] of processes and their children, and True if one is stopped."""
+    """Return processor time [s] of processes and their children, and whether any is stopped."""
     import psutil
 
     work_s = 0.0

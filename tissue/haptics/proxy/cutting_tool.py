@@ -13,7 +13,7 @@ from tissue.motion.motion import matrix_of
 from tissue.motion.quaternion import Quaternion, exponential, product, turn_between
 
 NATURAL_Hz = 40.0
-"""Natural frequency of the tool on the coupling spring [Hz]; determines the tool's mass.
+"""Natural frequency of the tool on the coupling spring [Hz]; it determines the tool's mass.
 
 The value is below the rate at which encoder steps excite the tool. At 5 mm/s, steps of 55 um have a
 rate of 91 Hz. For a spring of 28 kN/m, as in reaming, the mass is 0.44 kg. Handpieces have a mass
