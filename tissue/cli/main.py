@@ -286,7 +286,7 @@ def _options(arguments: Iterable[Argument]) -> list[str]:
 
 
 def _other_use(word: str, known: list[str]) -> str:
-    """Return advice on an unknown option: a command that has it, or a scene key; else ""."""
+    """Return advice on an unknown option: a command with this option, or a scene key; else ""."""
     commands = [name for name in app if not name.startswith("-") and app[name].default_command]
     holders = [
         f"`tissue {name}`"
