@@ -46,7 +46,7 @@ LEAST_SCORE = 0.62
 If one letter of a scene key is missing, the similarity to the correct key is at least 0.68.
 """
 TIE = 0.07
-"""Largest difference of similarity between the best name and other suggested names.
+"""Largest difference between the similarity of the best name and that of another suggested name.
 
 An additional word in a name lowers the similarity by 0.085, which is more than this difference. For
 `radius_mm`, `diameter_mm` is therefore suggested and `peg_diameter_mm` is not.
@@ -54,7 +54,7 @@ An additional word in a name lowers the similarity by 0.085, which is more than 
 MOST = 3
 """Largest number of suggestions."""
 MISSPELT = 0.85
-"""Factor from the share of letters that two words have in common to their similarity.
+"""Ratio of the similarity of two words to the share of letters that they have in common.
 
 With this factor, a misspelt word is not more similar than a synonym.
 """
@@ -77,7 +77,7 @@ def closest(word: str, known: Iterable[str]) -> list[str]:
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return a question in brackets that suggests the names that a word most likely means.
+    """Return a question in brackets that suggests the known names most similar to a word.
 
     The result is an empty string if no name is similar to the word.
     """
@@ -90,8 +90,8 @@ def suggests_arguments(of: F) -> F:
     Parameters
     ----------
     of
-        Function or class. Of a class, the constructor and the public methods that it defines itself
-        are wrapped. Functions with a ``**`` parameter are not changed.
+        Function or class. In a class, the constructor and the public methods are wrapped, except
+        inherited methods. Functions with a ``**`` parameter are not changed.
     """
     if not isinstance(of, type):
         return _checked(of)

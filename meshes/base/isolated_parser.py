@@ -86,7 +86,7 @@ _LEAST_BYTES = 2 << 30
 _BYTES_A_BYTE = 64
 """Allowed memory per byte of the file [byte]. The total is at least ``_LEAST_BYTES``.
 
-The factor is large, because a compressed label image may have a hundredth of its original size.
+The factor is large, because a compressed label image may be many times smaller than its content.
 """
 _LIBRARIES_BYTES = 256 << 20
 """Memory of the Python interpreter and its libraries [byte].

@@ -332,9 +332,9 @@ def _require_decimal_points(
 def _marks(rows: list[list[str]], delimiter: str, path: Path, what: str) -> tuple[str, str]:
     """Return the decimal mark and the thousands separator, which may be empty.
 
-    The first notation in which all numbers can be written is used. A single number such as 1,234
-    has a thousands separator only if commas also separate the columns, or if another number has a
-    decimal point.
+    Notations are tried in a fixed order until one fits all numbers. A number such as 1,234 has a
+    thousands separator only if commas also separate the columns, or if another number has a decimal
+    point.
     """
     cells = [cell.strip() for row in rows for cell in row if "," in cell or "." in cell]
     if not any("," in cell or cell.count(".") > 1 for cell in cells):
