@@ -46,15 +46,15 @@ _TO_EDGE = 0.501
 A bone may be cut off at this edge.
 """
 _FARTHEST_OUT_M = 0.5e-3
-"""Largest distance [m] by which a trabecular core may extend beyond the surface of the bone.
+"""Largest distance [m] from the bone at which a point of the trabecular core touches the bone.
 
-The surfaces of core and bone are smoothed separately.
+The value is not zero, because the surfaces of core and bone are smoothed separately.
 """
 _LEAST_TOUCHING = 0.2
-"""Smallest share of a core's points that must lie in the bone or on its surface.
+"""Smallest valid share of a trabecular core's points that touch the bone.
 
-The share is small, because a hollow cortex may be open, for example the cortex of a jaw at the
-teeth.
+The share is small, because a surface of the cortex alone may be open, for example at the teeth of a
+jaw. The core then lies outside the solid that this surface encloses.
 """
 
 

@@ -128,7 +128,7 @@ _MODES_HU = {"air": (-1060.0, -940.0), "adipose": (-140.0, -45.0), "muscle": (15
 At 60 to 120 keV, the tables of ICRU 44 give -89 to -56 HU for fat and 44 to 41 HU for muscle.
 """
 _BINS_HU = (-1100, 200)
-"""Range of the histogram [HU], which contains all ranges of `_MODES_HU`. The bins are 1 HU wide."""
+"""Range of the histogram [HU], with bins of 1 HU. It contains all ranges of `_MODES_HU`."""
 _SMOOTHING_HU = 4.0  # standard deviation of the smoothing; single bins have random maxima
 _LEAST_PEAK = 0.2  # height of a maximum, relative to the highest maximum in the tissue's range
 _PROMINENCE = 0.02  # prominence of a maximum, relative to the same highest maximum
@@ -213,8 +213,8 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
     The unknowns are the effective energy, the scanner's errors in the value of water and in the
     scale, the fat content of marrow, and one deviation for each tissue. This deviation is the
     relative difference of the tissue's attenuation from the value computed with ICRU 44. Each
-    unknown is expressed as a standard normal variable. The covariance is computed from the
-    linearised problem.
+    unknown is scaled such that its prior is the standard normal distribution. The covariance is
+    computed from the linearised problem.
 
     Raises
     ------
@@ -287,7 +287,10 @@ def _energy(unknown: Array) -> float:
 
 
 def _read(attenuation_1_m: float, unknown: Array) -> float:
-    """Compute the Hounsfield units that the scanner would show for a linear attenuation [1/m]."""
+    """Compute the Hounsfield units that a scanner shows for a linear attenuation [1/m].
+
+    `unknown` contains the energy and the scanner's errors, see `fit_regions`.
+    """
     true = hounsfield(attenuation_1_m, _energy(unknown))
     return (1.0 + _SCALE_SD * float(unknown[1])) * true + _WATER_SD_HU * float(unknown[2])
 

@@ -137,8 +137,8 @@ DENSITY_LAWS = {law.name: law for law in (CT_DENSITY, _MAYO_DENSITY)}
 """Density laws by name. Each law is the linear relation measured on one scanner.
 
 The uncertainty band of each law contains the densities that are computed from attenuation tables at
-62 to 80 keV, see `CT_DENSITY`. The computed densities differ from the law ``dragomir-daescu`` by
--10 to 47 %.
+62 to 80 keV, see `CT_DENSITY`. These densities are up to 10 % lower and up to 47 % higher than
+those of the law ``dragomir-daescu``.
 """
 
 _TO_ASH = {

@@ -21,7 +21,7 @@ MARGIN = 3
 KEPT_MARGIN = 4
 """Margin [voxel] around a piece of a structure that is smoothed.
 
-The margin is five standard deviations of the smoothing wide.
+The value is five times the standard deviation of the smoothing, `SMOOTH_VOXELS`.
 """
 SMOOTH_VOXELS = 0.8
 """Standard deviation [voxel] with which a label is smoothed.
@@ -280,8 +280,8 @@ def filled(mask: Flags, image: Image) -> Flags:
     Gaps of the cortex are closed first. Then, in each plane normal to an image axis, the regions
     that the mask encloses are filled.
 
-    Planes of three directions are used, because the edge of the image may cut off a bone. Only
-    planes of some directions then show the marrow enclosed.
+    If the edge of the image cuts off a bone, the marrow is enclosed only in planes of some
+    directions. Planes of all three directions are therefore used.
     """
     from scipy.ndimage import binary_fill_holes, distance_transform_edt
 

@@ -14,7 +14,7 @@ from meshes.images.frame import Image
 
 AIR_HU = (-1100, -900)
 SOFT_HU = (-150, 150)
-"""Range of air, and range from fat to muscle, in any CT [HU]."""
+"""Range of air (`AIR_HU`), and range from fat to muscle (`SOFT_HU`), in any CT [HU]."""
 METAL_HU = 3000
 """Hounsfield units above which a voxel is metal. No tissue exceeds this value.
 
@@ -46,18 +46,18 @@ _MAD = 0.6745
 """Median absolute deviation of a normal variable with a standard deviation of 1."""
 LOWEST_HU = 150.0
 HIGHEST_HU = 600.0
-"""Smallest and largest threshold of bone in common use.
+"""Smallest (`LOWEST_HU`) and largest threshold of bone in common use [HU].
 
 Common thresholds are 150 HU for osteoporotic bone, 226 HU as the default of several programs, and
 600 HU for cortical bone only.
 """
 _SOFT_PEAK_HU = (-50.0, 120.0)
-"""Range in which the most frequent value of soft tissue is searched.
+"""Range [HU] in which the most frequent value of soft tissue is searched.
 
 The range includes fat, and soft tissue with contrast medium.
 """
 _MOST_HU = 1600.0
-"""Upper limit of the values from which the threshold is computed.
+"""Upper limit [HU] of the values from which the threshold of bone is computed.
 
 Higher values, from enamel and metal, would raise the threshold.
 """
@@ -69,10 +69,11 @@ The value is larger than the rounding error of sums of up to 1e9 voxels.
 _NO_BONE = 0.1
 _LITTLE_BONE = 0.5
 _ALL_BONE = 0.8
-"""Limits for the share of a bone's label that is above the threshold of bone.
+"""Limits for the share of a bone's label with values above `LOWEST_HU`.
 
-The cortex is more than a tenth of any bone. If most of the label is marrow, more than half of the
-label may be below the threshold. An example is the humeral head of an old person.
+Below `_NO_BONE`, an error is raised, because the cortex is more than a tenth of any bone. Below
+`_LITTLE_BONE`, a warning is given, because the label may be mostly marrow, as in the humeral head
+of an old person. The message suggests a flip if the flipped label has a share above `_ALL_BONE`.
 """
 _FLIPS = ("left to right", "front to back", "head to feet")
 _SOFT_ORGAN_HU = (-200.0, 300.0)

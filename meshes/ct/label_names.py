@@ -15,7 +15,7 @@ from meshes.images.data import first_bytes
 from meshes.images.text_headers import header_lines
 
 MOST_LABELS = 2**31 - 1
-"""Largest number of a label."""
+"""Largest valid label number."""
 _HEADER_BYTES = 1 << 20
 """Number of bytes of a NIfTI file that are searched for a label table.
 
@@ -49,8 +49,7 @@ class Segment:
 
 
 def apart(segments: Sequence[Segment]) -> dict[int, str]:
-    """Return a dictionary from segment number to name; a name that occurs repeatedly is followed by
-    the body side.
+    """Return a dictionary from segment number to name.
 
     If several segments have the same name, the body side from the file is appended to this name.
     """
