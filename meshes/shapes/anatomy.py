@@ -22,8 +22,7 @@ TRABECULAR_KG_M3 = 350.0
 """Apparent densities [kg/m3] of bones for which only surfaces are given.
 
 The cortical density is the same as in `meshes.surfaces.glenoid.GlenoidSizes`. The trabecular
-density lies between the two trabecular densities of `GlenoidSizes`. These apply deep in the vault
-and directly below the subchondral plate.
+density lies between the two densities that `GlenoidSizes` has for trabecular bone.
 """
 
 Classify = Callable[[Floats, Floats], tuple[Bytes, Floats]]
