@@ -31,11 +31,10 @@ from meshes.tets.tetrahedralise import tetrahedralise
 _ORGAN_MM = (20.0, 450.0)
 """Range of the longest side of an organ [mm], from a small gland to an enlarged liver.
 
-The range is narrow enough to determine the unit: no length is in the range both if it is read in
-millimetres and if it is read in metres.
+The range determines the unit, because no number is in this range both in millimetres and in metres.
 """
 _TYPICAL_MM = 200.0
-"""Longest side [mm] of an organ after scaling by a suggested scale: the size of a liver."""
+"""Longest side [mm] that an organ gets from a suggested scale, equal to the size of a liver."""
 _PER_UNIT = "use 1 for millimetres, 1000 for metres"
 _PART_ARRAYS = (
     "part",
@@ -330,7 +329,7 @@ def vtk_mesh(file: Path) -> Answer:
 
 
 def _of_grid(data: Any, source: str) -> StoredMesh:
-    """Return the tetrahedra of a pyvista dataset; the surface if it has no tetrahedra."""
+    """Return the tetrahedra of a pyvista dataset, or its surface if it has no tetrahedra."""
     kinds = np.asarray(getattr(data, "celltypes", ()))
     present = [kind for kind in (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON) if kind in kinds]
     if not present:

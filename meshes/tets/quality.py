@@ -4,17 +4,18 @@ Defects are found and repaired by the rules in the table. V is the volume of a c
 cannot be repaired, an error is raised.
 
 ==============  =====================================================  ================================================
-what            when                                                   rule
+defect          condition                                              repair
 ==============  =====================================================  ================================================
-coincident      nodes within 1e-9 of the longest side                  joined; cells that name a node twice are flat
-repeated        cells of the same four nodes                           one is kept
-inverted        volume negative, not flat                              turned; refused where cells then overlap
-flat            6 V below 1e-6 of the longest edge cubed               dropped at the surface where that leaves the mesh
-                                                                       whole; inside, its nodes are
-                                                                       moved; else refused
-debris          pieces linked by faces, below 1 % of the largest       dropped
-sliver          mean ratio below 0.1                                   inner nodes moved; the rest is kept, reported
-pinched edges   surface edges of more than two triangles               kept and reported
+coincident      nodes within 1e-9 of the longest side                  merged; a cell with a merged edge becomes flat
+repeated        cells of the same four nodes                           one cell is kept
+inverted        negative volume, not flat                              reversed; error if cells then overlap
+flat            6 V below 1e-6 of the longest edge cubed               removed at the surface if the mesh stays intact;
+                                                                       inside, nodes are moved; otherwise error
+debris          piece below 1 % of the largest piece's volume;         removed
+                pieces are connected by faces
+sliver          mean ratio below 0.1                                   inner nodes moved; the other slivers are kept
+                                                                       and reported
+pinched edge    surface edge of more than two triangles                kept and reported
 ==============  =====================================================  ================================================
 """  # noqa: E501 a table
 
