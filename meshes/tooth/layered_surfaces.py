@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 _SAMPLE_PITCH_M = 0.1e-3
 _MOST_SAMPLES = 300_000
-"""Distance [m] between sample points of a layer's surface, and largest number of sample points.
+"""Distance of a layer's sample points [m] (`_SAMPLE_PITCH_M`), and largest number of sample points.
 
 The largest number is enough for a surface of 30 cm2.
 """
@@ -63,7 +63,7 @@ _SOCKET_PITCH_M = 0.2e-3
 Around a root with a radius of 3 mm, the interpolation error is 2 um.
 """
 _FAR_M = 1.0
-"""Distance [m] that is assumed outside the table of socket distances, longer than any tooth."""
+"""Distance [m] that is returned outside the table of socket distances. No tooth is as long."""
 _MERGE_TOLERANCE_M = 1e-8
 """Largest distance [m] at which vertices of two surfaces are merged.
 

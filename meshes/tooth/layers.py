@@ -55,13 +55,17 @@ PRIORITY = ("caries", "pulp", "enamel", "dentin", "ligament", "bone")
 
 _SOUND_KG_M3 = 2100.0
 _INFECTED_KG_M3 = 1300.0
-"""Densities [kg/m3] of dentin with the softness 0 and 1, see the table of the module docstring."""
+"""Density [kg/m3] of dentin with a softness of 1. For `_SOUND_KG_M3`, the softness is 0."""
 _POINTS_AT_ONCE = 1 << 17
 """Number of points evaluated at once. The coordinates take 3 MB, which fits in the cache."""
 _SMALLEST_MM = 5.0
 _LARGEST_MM = 40.0
 _TYPICAL_MM = 18.0
-"""Longest sides [mm] of three teeth: crown without roots, canine with root, and typical molar."""
+"""Longest side [mm] of a typical molar.
+
+`_SMALLEST_MM` is the longest side of a crown without roots, and `_LARGEST_MM` of a canine with
+root.
+"""
 
 
 def caries_density(softness: Floats) -> Floats:
@@ -149,14 +153,14 @@ degrees in the crown of this molar without roots.
 """
 _SMOOTH_M = 0.3e-3
 _AROUND_M = 0.5e-3
-"""Standard deviation [m] for smoothing the outer surface, and radius [m] for averaging normals.
+"""Radius [m] for averaging normals. The outer surface is smoothed before by `_SMOOTH_M`.
 
 For comparison, the voxel size is 0.1 to 0.15 mm.
 """
 _BEYOND_M = 1.0e-3
 """Distance [m] beyond the nearest surface point at which the search for a site's origin ends."""
 _UPRIGHT = 0.7
-"""Cosine of an angle of 45 degrees between site normal and tooth axis.
+"""Cosine of 45 degrees, a limit for the angle between a site's normal and the tooth's axis.
 
 At larger angles, the site's y axis points to the crown. At smaller angles, the direction to the
 crown is too close to the normal.

@@ -123,9 +123,9 @@ class PulpCavity:
         return cavity
 
     def holds(self, empty_m: Array) -> Flags:
-        """Return flags, shape (n,), of the points outside all layers that lie in the cavity.
+        """Return flags, shape (n,), of the points that lie in the cavity.
 
-        The points [m] have the shape (3, n).
+        The points [m], shape (3, n), must be outside all layers.
         """
         from scipy.ndimage import map_coordinates
 
