@@ -17,7 +17,7 @@ from kernels.contact_state import Body, block
 wp.set_module_options({"max_unroll": 1})
 
 LANES = 16
-"""Number of values in a pack. A pack is read at once.
+"""Number of values in a pack. All values of a pack are read at once.
 
 Reading a block of nine numbers takes 0.7 ns with packs of 16 numbers, 1.0 ns with packs of 8, and
 0.8 ns with packs of 32. Reading the block from the full compliance takes 3.9 ns.
