@@ -11,7 +11,7 @@ from typing import Any, TypeVar, cast
 F = TypeVar("F", bound=Callable[..., Any])
 
 UNITS = re.compile(r"deg|[km]?n|[kmg]?pa|[kg]?hz|[munk]?m|[mu]?s|kg|rad|m?w|[jk]|mm[23]")
-"""Regular expression for a unit in a name. Units are ignored when names are compared."""
+"""Regular expression for a unit in a name. Units are compared separately from words."""
 SAME_MEANING = tuple(
     frozenset(words.split())
     for words in (
@@ -65,8 +65,8 @@ OTHER_UNIT = 0.9
 def closest(word: str, known: Iterable[str]) -> list[str]:
     """Return the known names that a word most likely means, best first, at most `MOST`.
 
-    Names are compared word by word, without their units. Words are compared by spelling. Words in
-    `SAME_MEANING` are also compared by meaning.
+    Names are compared word by word. Words are compared by spelling. Words in `SAME_MEANING` are
+    also compared by meaning. Different units lower the similarity, see `OTHER_UNIT`.
     """
     scores = {name: _score(word, name) for name in known}
     best = max(scores.values(), default=0.0)
@@ -136,7 +136,7 @@ def did_you_mean(names: Sequence[str]) -> str:
 
 
 def _score(given: str, name: str) -> float:
-    """Return the similarity of two names, which is 1 if the names consist of the same words."""
+    """Return the similarity of two names, which is 1 if they have the same words and units."""
     words = _words(given)
     others = _words(name)
     if not words or not others:

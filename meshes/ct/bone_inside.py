@@ -86,7 +86,8 @@ def imaged_anatomy(
     Raises
     ------
     InputError
-        If the image does not cover the surface, or a parameter is out of range.
+        If the image does not cover the surface or contains values that are not densities, or if a
+        parameter is out of range.
     """
     dense, articular = require_ranges(
         # The default density of trabecular bone is 350 kg/m3, and the densest cortex has 2000
@@ -190,7 +191,8 @@ def stated_law(path: Path) -> str:
 def _require_covered(surface: Surface, density: Image) -> None:
     """Raise an error for a density image without density at the surface of the bone.
 
-    Such an image belongs to another bone, or has another frame or unit.
+    Such an image belongs to another bone, or has another frame or unit. Also raise an error for
+    values that are not densities, such as Hounsfield units.
     """
     origin = np.array(density.origin_mm)
     last = np.array(density.values.shape) - 1

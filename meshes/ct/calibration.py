@@ -313,8 +313,9 @@ def find_regions(image: Image) -> dict[str, Region]:
     """Find air, adipose, muscle and cortex in a CT.
 
     Only voxels in homogeneous neighbourhoods are used, where the values vary only by noise. The
-    values of air, fat and muscle are the most frequent values in the ranges of these tissues.
-    Cortex is the densest tenth of the voxels that are surrounded by bone and not near metal.
+    values of fat and muscle are maxima of the histogram in the ranges of these tissues. The value
+    of air is the median in its range. Cortex is the densest tenth of the voxels that are surrounded
+    by bone and not near metal.
     """
     from scipy.ndimage import uniform_filter
 

@@ -155,14 +155,14 @@ _TO_ASH = {
 """Conversion from a phantom's equivalent density to ash density.
 
 Each entry has the slope, the offset [kg/m3], the relative standard deviation of the apparent
-density, and the source. The line 1.22 K2HPO4 + 52.3 is from Les 1994 (table 1 of Knowles 2016). The
-factor 0.9 follows from the line of Dragomir-Daescu 2011. For HA, the standard deviation of 3 % is
-the uncertainty of the calcium content in ICRU 44, see `meshes.ct.calibration`.
+density, and the source. The slopes in use for K2HPO4 range from 0.9 (from the line of
+Dragomir-Daescu 2011) to 1.22 (Les 1994, table 1 of Knowles 2016). For HA, the standard deviation of
+3 % is the uncertainty of the calcium content in ICRU 44, see `meshes.ct.calibration`.
 """
 
 
 def line_law(slope: float, offset: float, equivalent: str = "apparent") -> DensityLaw:
-    """Return the density law for a line from Hounsfield units to a phantom's equivalent density.
+    """Return the density law for a linear relation of Hounsfield units and a phantom's density.
 
     Parameters
     ----------

@@ -177,7 +177,7 @@ def cropped(image: Image, box_mm: Box, *, stated_in: str = "LPS") -> Image:
 def by_label(image: Image, mask: Flags) -> BoneOfImage:
     """Extract the bone that a label marks in an image.
 
-    `mask` has the image's shape.
+    `mask` has the image's shape. Only the largest connected piece of the label is used.
 
     The voxel steps of the label are smoothed. The surface is a level set of the smoothed label. The
     level is chosen such that the surface contains as many voxels as the label. If voxels are small
@@ -304,8 +304,8 @@ def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints]
 
     The surface consists of vertices [mm, LPS], shape (n, 3), and triangles, shape (m, 3).
 
-    Each piece is smoothed separately, and its volume does not change. A piece is not smoothed if it
-    is so thin that smoothing would remove the piece.
+    Each piece is smoothed separately, and its volume does not change. Parts that are so thin that
+    smoothing would remove them are not smoothed.
 
     Parameters
     ----------

@@ -138,14 +138,14 @@ class Inspection:
     lowest, highest
         Smallest and largest value.
     is_hounsfield
-        Whether the values may be Hounsfield units. This is true if air is about -1000, or soft
-        tissue is about 0 to 60.
+        Whether the values may be Hounsfield units. This is true if the lowest value is below -100,
+        and enough values lie in the range of air or in the range of soft tissue.
     noise
         Standard deviation of soft tissue, estimated from differences of neighbours, in units of the
         values; None without soft tissue. Noise that is correlated between neighbouring voxels is
         not included.
     metal_mm3, metal_mm
-        Volume above 3000 HU [mm3] and its centre [mm, LPS]; None without metal.
+        Volume above 3000 HU [mm3], and its centre [mm, LPS]; 0 and None without metal.
     padding
         Share of voxels with the lowest value if this value is below air; otherwise 0.
     """
@@ -279,7 +279,7 @@ def suggest_threshold(histogram: Histogram, *, is_hounsfield: bool) -> tuple[flo
     Otsu's criterion determines the threshold between soft tissue and bone.
 
     For Hounsfield units, only values above soft tissue are used, and the threshold is limited to
-    150 to 600 HU.
+    150 to 600 HU. If no soft tissue is found, the threshold is 226 HU.
     """
     values = histogram.values.astype(np.float64)
     counts = histogram.counts.astype(np.float64)

@@ -130,8 +130,8 @@ def header_names(path: Path) -> dict[int, str]:
 def slicer_segments(path: Path) -> list[Segment]:
     """Return the segments that 3D Slicer listed in the header of a NRRD file.
 
-    In files with several layers, two segments may have the same value. Segments are therefore
-    numbered from 1.
+    In a file with several layers, two segments may have the same value. The segments of such a file
+    are therefore numbered from 1.
     """
     if not path.name.lower().endswith((".nrrd", ".nhdr")):
         return []

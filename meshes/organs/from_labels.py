@@ -184,6 +184,9 @@ class LabelledOrgan:
     ) -> tuple[TetMesh, dict[str, str]]:
         """Return the mesh of the organ and its parts, in the image's frame, and notes by name.
 
+        `edge_mm` is the target edge of the tetrahedra [mm]. If None, it is the organ's longest side
+        divided by `FILL_EDGES`.
+
         Raises
         ------
         InputError

@@ -167,7 +167,7 @@ def slab(
 ) -> TetMesh:
     """Build a block of tissue, with the origin at the middle of its top face and z up.
 
-    The thickness of the layers increases from the top down.
+    The layers of cells become thicker from the top down.
 
     Parameters
     ----------

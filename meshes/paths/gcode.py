@@ -2,8 +2,9 @@
 
 Straight moves (G0, G1) and arcs (G2, G3) are read in all planes, units and distance modes. Commands
 (words) that do not move the tool, such as spindle speed, coolant and tool number, are ignored and
-listed in a note. Words that would change the motion, such as drilling cycles and cutter
-compensation, raise an error that names the word.
+listed in a note. Moves to machine positions, such as G28, are also left out and listed. Other words
+that would change the motion, such as drilling cycles and cutter compensation, raise an error that
+names the word.
 """
 
 import re
@@ -106,7 +107,9 @@ class Program:
         self._line = 0
 
     def notes(self) -> tuple[str, ...]:
-        """Return notes on ignored words and on arcs replaced by lines, one sentence each."""
+        """Return notes on the unit, on ignored words and on arcs replaced by lines, one sentence
+        each.
+        """
         found = []
         if not self._modes["unit"]:
             found.append("the program has neither G20 nor G21, so lengths are read in mm")

@@ -353,7 +353,7 @@ def to_replay(
     feed_mm_s
         Speed [mm/s] in the parts of the path for which the file states no speed.
     clearance_mm
-        Distance [mm] along the tool's axis at which the motion starts before the first point.
+        Distance [mm] of the start of the motion from the first point, along the tool's axis.
 
     Raises
     ------
