@@ -107,9 +107,7 @@ class Program:
         self._line = 0
 
     def notes(self) -> tuple[str, ...]:
-        """Return notes on the unit, on ignored words and on arcs replaced by lines, one sentence
-        each.
-        """
+        """Return notes on the unit, on ignored words and on replaced arcs, one sentence each."""
         found = []
         if not self._modes["unit"]:
             found.append("the program has neither G20 nor G21, so lengths are read in mm")

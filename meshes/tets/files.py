@@ -47,10 +47,7 @@ _PART_ARRAYS = (
     "material",
     "label",
 )
-"""Names of integer cell arrays that may contain part numbers, the most probable name first.
-
-Meshing programs write arrays with these names.
-"""
+"""Names of cell arrays in which programs write part numbers, the most probable name first."""
 _SIZES_MM = (1.5, 1500.0)
 """Range of the longest side of a plausible organ [mm].
 
@@ -98,9 +95,9 @@ def read_tets(
 
     Gmsh text files of versions 1 and 2 (``.msh``) are read by `meshes.tets.msh`, other Gmsh files
     by meshio, and all other formats by pyvista. In a file with tetrahedra, other cells are ignored.
-    The part of each cell is read from an integer cell array with a usual name, such as
-    ``gmsh:physical``, ``part`` or ``region``. If the file has the field ``part_names``, it contains
-    the names of the part numbers 0, 1, ... in the array ``part``.
+    The part of each cell is read from a cell array with a usual name, such as ``gmsh:physical``,
+    ``part`` or ``region``. The field ``part_names``, if present, contains the names of the part
+    numbers 0, 1, ... in the array ``part``.
 
     Parameters
     ----------
@@ -119,8 +116,8 @@ def read_tets(
     Raises
     ------
     InputError
-        If the file is missing, empty or not readable, or does not contain a solid. Also raised if
-        the solid does not have the size of an organ in millimetres or metres.
+        If the file is missing, empty or not readable, or does not contain a solid. If `unit_mm` is
+        None, also raised if the solid does not have the size of an organ in millimetres or metres.
     """
     file = Path(path)
     stored = _read_stored(file)
@@ -270,7 +267,7 @@ def require_millimetres(name: str, points: Array, scale_mm: float | None) -> flo
     Raises
     ------
     InputError
-        If the size is not plausible. The message suggests a plausible scale.
+        If `scale_mm` is None and the size is not plausible. The message suggests a plausible scale.
     """
     if scale_mm is not None:
         return require_positive("scale_mm", scale_mm, _PER_UNIT)

@@ -226,7 +226,7 @@ def _flat_turned(nodes: Array, cells: Ints) -> Ints:
 def _whole(cells: Ints, keep: Flags) -> bool:
     """Return whether the mesh stays intact if only the cells flagged in `keep` remain.
 
-    A mesh is intact if its number of pieces is unchanged and no edge is pinched.
+    A mesh stays intact if the number of pieces and the number of pinched edges do not increase.
     """
     left = cells[keep]
     return pieces(left).max() <= pieces(cells).max() and (
@@ -354,7 +354,7 @@ def smooth(
 def _best_place(nodes: Array, star: Ints, node: int, enough: float) -> Array | None:
     """Find the position of a node that maximises the quality of the worst cell around the node.
 
-    The result is None if no cell around the node needs improvement.
+    The result is None if no cell around the node needs improvement, or no better position is found.
     """
     corners = nodes[star]
     slot = star == node
