@@ -82,13 +82,13 @@ class TextTable:
     def numbers(self, name: str) -> Array:
         """Return the numbers of a column, shape (n,). The number of an empty cell is NaN.
 
-        Dates with times are converted to seconds since 1970 in UTC, and times of day to seconds
-        since midnight.
+        Dates with times are converted to seconds since 1970 in UTC. Times without a time zone count
+        as UTC. Times of day are converted to seconds since the midnight before the first row.
 
         Raises
         ------
         InputError
-            If two columns have this name, or a cell does not contain a number.
+            If no column or several columns have this name, or a cell does not contain a number.
         """
         if self.names.count(name) != 1:
             problem = f"{self.names.count(name)} columns named {name} in {self.path.name}"

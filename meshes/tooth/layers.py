@@ -63,8 +63,8 @@ _LARGEST_MM = 40.0
 _TYPICAL_MM = 18.0
 """Longest side [mm] of a typical molar.
 
-`_SMALLEST_MM` is the longest side of a crown without roots, and `_LARGEST_MM` of a canine with
-root.
+The limits of a valid longest side, `_SMALLEST_MM` and `_LARGEST_MM`, correspond to a crown without
+roots and to a canine with its root.
 """
 
 

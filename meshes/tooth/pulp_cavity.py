@@ -50,9 +50,9 @@ class PulpCavity:
 
     A void is the pulp cavity if it has a plausible volume, lies in dentin, and is closed except for
     apical foramina. Closed means that a ball with a diameter of more than 0.8 mm cannot enter the
-    void. It also means that all openings lie in the roots, with at most 1 mm2 each. Fissures,
-    grooves and clefts between roots are not pulp cavities, because they are open along their
-    length.
+    void. It also means that all openings lie in the roots, with at most 1 mm2 each. Openings in the
+    crown of up to 0.05 mm2 in total are ignored. Fissures, grooves and clefts between roots are not
+    pulp cavities, because they are open along their length.
 
     Attributes
     ----------
