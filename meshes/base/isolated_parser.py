@@ -78,7 +78,7 @@ Answer = tuple[Facts, "dict[str, NDArray[np.number]]"]
 _START = start_code("meshes.base.isolated_parser", "_serve")
 _LONGEST_S = 60.0
 _BYTES_A_SECOND = 1_000_000
-"""Base time limit of a parser [s], and number of file bytes that add one second to the limit.
+"""File size [byte] that adds one second to the time limit `_LONGEST_S` of a parser.
 
 On a busy machine, VTK files are read at 2 to 5 MB per second.
 """

@@ -6,7 +6,7 @@ tissues. There are three differences from the paper. First, the linear attenuati
 because Hounsfield units are linear in this attenuation. Second, all unknowns have priors and are
 estimated together, so the uncertainty of the density includes the uncertainty of the unknowns.
 Third, bone is treated as a mixture of dense bone (ICRU 44) and marrow. Published relations between
-K2HPO4 and ash density are not used, because they differ by 30 %.
+K2HPO4 and ash density are not used, because these relations differ from each other by 30 %.
 """
 
 import math

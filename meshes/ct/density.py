@@ -11,7 +11,7 @@ from meshes.base.errors import InputError, require_range
 
 ASH_SHARE = 0.598
 ASH_SHARE_SD = 0.004
-"""Ratio of ash density to apparent density of human bone, and its standard deviation.
+"""Standard deviation of `ASH_SHARE`, the ratio of ash density to apparent density of human bone.
 
 The ratio is 0.598 +- 0.004 for cortical and trabecular bone (Schileo et al. 2008, J Biomech
 41:2483).

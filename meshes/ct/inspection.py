@@ -35,7 +35,9 @@ An image with air around a patient has a far larger share.
 """
 _LOWEST = -2000
 _HIGHEST = 20_000
-"""Limits of the histogram. Values outside the limits are counted in the first and the last bin.
+"""Upper limit of the histogram. `_LOWEST` is the lower limit.
+
+Values outside the limits are counted in the first and the last bin.
 
 The limits bound the size of the histogram. CT values lie inside the limits: air has -1000 HU, and
 metal has a few thousand HU.

@@ -18,7 +18,10 @@ _LOSSY = (".jpg", ".jpeg")
 _MIN_IS_WHITE = 0
 _PALETTE = 3
 _UNCOMPRESSED = 1
-"""TIFF 6.0 tag values: `_MIN_IS_WHITE`, `_PALETTE` (PhotometricInterpretation), `_UNCOMPRESSED`."""
+"""Value of the tag Compression in the TIFF 6.0 standard.
+
+`_MIN_IS_WHITE` and `_PALETTE` are values of the tag PhotometricInterpretation.
+"""
 _GREY = (0.2126, 0.7152, 0.0722)
 """Weights of red, green and blue in the brightness of a colour (ITU-R BT.709)."""
 _MODES = {

@@ -57,10 +57,9 @@ The volume is relative to the volume of the label's voxels. Later estimates are 
 """
 _TRIES = 6
 _CLOSE = 2e-4
-"""Largest number of levels that the search tries, and accepted relative volume error.
+"""Accepted relative volume error in the search for the level of a smoothed label's surface.
 
-The search looks for the level at which the smoothed label encloses the volume of the label's
-voxels.
+The surface should enclose the volume of the label's voxels. At most `_TRIES` levels are tried.
 """
 
 

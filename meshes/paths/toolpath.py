@@ -301,7 +301,7 @@ A person turns a drill by a right angle in about a second.
 """
 _SAME_MM = 1e-6
 _SAME_RAD = 1e-6
-"""Smallest motion [mm] and smallest rotation [rad] for which a replay table gets a new row.
+"""Smallest rotation [rad], or motion `_SAME_MM` [mm], for which a replay table gets a new row.
 
 The times of a replay table must increase, and a motion of zero length takes no time.
 """

@@ -19,7 +19,7 @@ from meshes.shapes.sdf import Shape, box
 
 CORTICAL_KG_M3 = 1800.0
 TRABECULAR_KG_M3 = 350.0
-"""Apparent densities [kg/m3] of bones for which only surfaces are given.
+"""Apparent densities of cortical and trabecular bone [kg/m3], used if only surfaces are given.
 
 The cortical density is the same as in `meshes.surfaces.glenoid.GlenoidSizes`. The trabecular
 density lies between the two densities that `GlenoidSizes` has for trabecular bone.

@@ -43,7 +43,7 @@ _SMALLEST_MM = 1.0
 _LARGEST_MM = 1000.0
 """Limits of a surface's longest side [mm] if the user gives a scale.
 
-The limits allow a bone chip, and twice the length of a femur.
+The limits, `_SMALLEST_MM` and `_LARGEST_MM`, allow a bone chip and twice the length of a femur.
 """
 _UNITS = (("millimetres", 1.0, 5.0, 700.0), ("metres", 1000.0, 0.005, 0.7))
 """Units that can be guessed: name, length [mm], and range of a bone's longest side in this unit.

@@ -60,7 +60,7 @@ further.
 """
 _FIRST_STEP = 0.25
 _SMALLEST_STEP = 0.004
-"""First and smallest step of the pattern search for a better node position.
+"""Step at which the pattern search for a better node position ends. It starts with `_FIRST_STEP`.
 
 The steps are 1/4, 1/8 ... 1/128 of the size of the cells around the node.
 """

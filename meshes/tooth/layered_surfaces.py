@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 _SAMPLE_PITCH_M = 0.1e-3
 _MOST_SAMPLES = 300_000
-"""Distance of a layer's sample points [m] (`_SAMPLE_PITCH_M`), and largest number of sample points.
+"""Largest number of sample points of a layer's surface. Their distance is `_SAMPLE_PITCH_M`.
 
 The largest number is enough for a surface of 30 cm2.
 """

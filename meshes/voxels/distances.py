@@ -232,7 +232,7 @@ _AT_ONCE = 1 << 18
 """Number of pairs (voxel, neighbour) that are summed at once. The pairs take a few MB."""
 _STRIDE = 0.5
 _HALVINGS = 5
-"""Step [voxel] of the search for a layer boundary along a direction, and number of bisections.
+"""Number of bisections in the search for a layer boundary, after steps of `_STRIDE` [voxel].
 
 The middle of the remaining interval has an error of up to 0.008 voxels. This is one step of the
 stored distance.
