@@ -24,8 +24,8 @@ scaled by this ratio.
 Springs between points x of the cell and the ground add ``sum N_a(x) N_b(x) S`` to K_ab. S is the 3
 x 3 stiffness of a spring, and N_a is the shape function of corner a.
 
-The module also computes the stress at points of the cells. The displacement gradient is ``grad u =
-sum u_a g_a^T``, the strain ``e = sym grad u`` and the stress ``s = lambda tr(e) I + 2 mu e``."""  # noqa: E501 a table
+The module also computes the stress ``sigma = lambda tr(e) I + 2 mu e`` at points of the cells. The
+displacement gradient is ``grad u = sum u_a g_a^T``, and the strain is ``e = sym grad u``."""  # noqa: E501 a table
 
 import warp as wp
 

@@ -56,7 +56,7 @@ MOST = 3
 MISSPELT = 0.85
 """Ratio of the similarity of two words to the share of letters that they have in common.
 
-With this factor, a misspelt word is not more similar than a synonym.
+With this ratio, a misspelt word is not more similar than a synonym.
 """
 OTHER_UNIT = 0.9
 """Factor by which the similarity is multiplied if the two names have different units."""

@@ -46,7 +46,7 @@ _TO_EDGE = 0.501
 A bone may be cut off at this edge.
 """
 _FARTHEST_OUT_M = 0.5e-3
-"""Largest distance [m] from the bone at which a point of the trabecular core touches the bone.
+"""Distance [m] from the bone up to which a point of the trabecular core counts as touching.
 
 The value is not zero, because the surfaces of core and bone are smoothed separately.
 """

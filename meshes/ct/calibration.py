@@ -158,7 +158,7 @@ class Region:
 class Calibration:
     """Result of a calibration: law that converts Hounsfield units to density.
 
-    `energy_keV` contains the effective energy and its standard deviation.
+    `energy_keV` and `energy_sd_keV` are the effective energy and its standard deviation.
     """
 
     law: DensityLaw

@@ -265,7 +265,7 @@ def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
 
 
 def files_in(folder: Path) -> list[Path]:
-    """Return the sorted files in a folder and its subfolders, without suffixes of other types.
+    """Return the files in a folder and its subfolders, sorted, except those with non-DICOM names.
 
     Raises
     ------

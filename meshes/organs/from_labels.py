@@ -130,7 +130,7 @@ def _level(smooth: Image, level: float) -> Triangles:
 _FEWEST_VOXELS = 64
 """Smallest number of voxels for which a surface is computed: a ball of 5 voxels in diameter."""
 _FLAT_END = 0.5
-"""Ratio of voxel numbers above which an organ's end is flat: outermost plane to largest plane.
+"""Ratio above which an organ's end is flat: voxels of the outermost plane / of the largest plane.
 
 The planes are normal to an image axis. A ball of nine planes, whose end is round, has a ratio of
 0.4.

@@ -1,4 +1,4 @@
-"""Class for anatomies, which are shapes with layers, and a block of cortical bone.
+"""Class for anatomies (shapes with layers), and a function that builds a block of cortical bone.
 
 In the site frame of every anatomy, the origin is the centre of the working face on the bone
 surface, and +z is the outward normal at this point. The tool therefore moves along -z.

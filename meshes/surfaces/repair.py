@@ -98,8 +98,8 @@ def orient(vertices: Array, faces: Ints) -> tuple[Ints, int, int, float]:
     reversed winding. If two triangles share an edge, the graph connects those nodes of the two
     triangles whose windings agree. Each connected component of the graph is a consistent
     orientation of a set of triangles. If the total volume is negative, the whole surface is
-    reversed. Each body whose volume is still negative is then reversed, unless it lies within the
-    bounding box of another body, because it may be a cavity.
+    reversed. Then, each body whose volume is still negative is reversed. A body within the bounding
+    box of another body is not reversed, because it may be a cavity.
 
     Returns
     -------

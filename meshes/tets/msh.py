@@ -58,7 +58,8 @@ class StoredMesh:
 
     @property
     def used(self) -> Array:
-        """Points, shape (k, 3), of the tetrahedra; of the triangles if there are no tetrahedra.
+        """Points, shape (k, 3), that the tetrahedra use, or the triangles if there are no
+        tetrahedra.
 
         A missing point, or a point that is not finite, raises an `InputError`.
         """

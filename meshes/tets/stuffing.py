@@ -37,7 +37,7 @@ _MOST_BISECTED = 5_000_000
 For this number, the array of edges takes 0.5 GB, and sorting it takes several times as much memory.
 """
 _LEAST_VOLUME = 0.5
-"""Smallest accepted ratio of a tetrahedron's volume after a node is moved to its volume before.
+"""Smallest accepted volume of a tetrahedron after a move of a node, relative to the volume before.
 
 If the volume would become smaller, the node is not moved.
 """

@@ -47,7 +47,7 @@ their nodes are held fixed instead.
 _OFF = 1e-6
 """Relative volume error accepted after the moves. With a larger error, moves are discarded."""
 _LEAST_KEPT = 0.2
-"""Smallest accepted ratio of a tetrahedron's volume after a move to its volume before all moves."""
+"""Smallest accepted volume of a tetrahedron after a move, relative to its original volume."""
 
 
 def tetrahedralise(

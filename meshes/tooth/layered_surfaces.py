@@ -51,9 +51,9 @@ if TYPE_CHECKING:
 
 _SAMPLE_PITCH_M = 0.1e-3
 _MOST_SAMPLES = 300_000
-"""Largest number of sample points of a layer's surface. Their distance is `_SAMPLE_PITCH_M`.
+"""Largest number of sample points of a layer's surface. The points are `_SAMPLE_PITCH_M` apart.
 
-The largest number is enough for a surface of 30 cm2.
+The number is enough for a surface of 30 cm2.
 """
 _LESION_M = 0.15e-3
 """Edge [m] of the voxels in which a lesion is searched."""

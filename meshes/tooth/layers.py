@@ -142,18 +142,18 @@ def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: floa
 _LEAST_RISE_M = 0.4e-3
 """Smallest distance [m] between the centres of enamel and dentin in a valid tooth.
 
-For comparison, the distance is 6.3 mm in the procedural molar, and 2.2 mm in the crown of this
-molar without roots.
+For comparison, the distance is 6.3 mm in the procedural molar, and 2.2 mm if the roots of this
+molar are removed.
 """
 _MOST_LEANING = math.cos(math.radians(25.0))
 """Cosine of the angle up to which a principal axis counts as the tooth's long axis.
 
 For comparison, the angle to the nearest principal axis is 0 degrees in the procedural molar, and 5
-degrees in the crown of this molar without roots.
+degrees if the roots of this molar are removed.
 """
 _SMOOTH_M = 0.3e-3
 _AROUND_M = 0.5e-3
-"""Radius [m] for averaging normals. The outer surface is smoothed before by `_SMOOTH_M`.
+"""Radius [m] for averaging normals. The surface is first smoothed over `_SMOOTH_M`.
 
 For comparison, the voxel size is 0.1 to 0.15 mm.
 """

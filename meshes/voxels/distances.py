@@ -217,10 +217,9 @@ def _outward(fraction: Bytes, at: Ints) -> Array:
 BOUNDARY_STEPS = 127
 """Number of stored steps per voxel of distance. Boundary distances are limited to two voxels."""
 FAR = 254
-"""Stored distance of voxels that are far from every boundary between layers.
+"""Stored distance of a voxel that is more than two voxels away from every boundary between layers.
 
-The voxel is more than two voxels away from every boundary. The value is also used if none of the
-cells with the voxel as a corner contains a boundary.
+The value is also used if no cell with the voxel as a corner contains a boundary.
 """
 _UNKNOWN = 255
 _PADDED = 2
