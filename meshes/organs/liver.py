@@ -14,8 +14,7 @@ left lobe           22 %              M: 25-40 % of the volume, thinning to a we
 
 The shape is drawn with signed distances: a dome of two ellipsoids is cut by the inclined visceral
 plane. It has hollows for stomach, kidney and gall bladder, a groove for the vena cava and spine,
-and a notch for the round ligament. The mesh does not contain vessels or the capsule."""  # noqa:
-E501 a table
+and a notch for the round ligament. The mesh does not contain vessels or the capsule."""  # noqa: E501 a table
 
 import math
 from dataclasses import dataclass

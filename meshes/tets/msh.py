@@ -58,8 +58,7 @@ class StoredMesh:
 
     @property
     def used(self) -> Array:
-        """Points, shape (k, 3), that the tetrahedra use, or the triangles if there are no
-        tetrahedra.
+        """Points of the tetrahedra, or of the triangles if there are no tetrahedra, shape (k, 3).
 
         A missing point, or a point that is not finite, raises an `InputError`.
         """
