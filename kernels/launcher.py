@@ -61,7 +61,7 @@ class SplitChoice:
     """Choice for one kernel launch: run it as a whole, or split it over several cores.
 
     Because the work of a launch changes from run to run, the choice is based on trials. A trial
-    compares equal numbers of whole and split runs in mixed order. The first long runs are a trial.
+    compares equal numbers of whole and split runs in mixed order.
     """
 
     def __init__(self) -> None:

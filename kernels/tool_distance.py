@@ -202,8 +202,7 @@ def bounds_over(outline: Outline, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, best: w
 
     Gradient descent approaches the point of the triangle with the smallest distance. If the
     distance function is smooth at this point, its linear approximation gives the exact lower bound.
-    If the function has a crease at this point, a weighted mean of two linear approximations gives
-    the exact lower bound.
+    At a crease, a weighted mean of two linear approximations gives this bound.
     """
     middle = (a + b + c) / THREE
     size = wp.max(wp.length(a - middle), wp.max(wp.length(b - middle), wp.length(c - middle)))

@@ -332,7 +332,7 @@ def _require_decimal_points(
 def _marks(rows: list[list[str]], delimiter: str, path: Path, what: str) -> tuple[str, str]:
     """Return the decimal mark and the thousands separator, which may be empty.
 
-    Notations are tried in a fixed order until one fits all numbers. A number such as 1,234 has a
+    Common notations are tried in turn until one fits all numbers. A number such as 1,234 has a
     thousands separator only if commas also separate the columns, or if another number has a decimal
     point.
     """

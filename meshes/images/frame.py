@@ -49,9 +49,7 @@ The voxels take 4 GB as float32, and the splines take another 4 GB.
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """Grey values or labels on a regular grid along the axes of LPS, in mm.
-
-    The axes are +x left, +y back and +z head.
+    """Grey values or labels on a regular grid along LPS axes (+x left, +y back, +z head), in mm.
 
     The centre of voxel (i, j, k) is ``origin_mm + spacing_mm * (i, j, k)``, for any order and
     direction of the axes in the file. TIFF slices have no patient frame. For such images, x, y and

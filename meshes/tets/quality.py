@@ -312,8 +312,7 @@ def smooth(
 
     For each node, a pattern search maximises the smallest mean ratio of the cells around the node.
 
-    A move is accepted only if the worst cell around the node improves. After a move, no cell around
-    the node is worse than the worst cell before the move.
+    A move is accepted only if the worst cell around the node improves.
 
     Parameters
     ----------

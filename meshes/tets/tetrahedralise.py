@@ -139,7 +139,7 @@ def with_volume(mesh: TetMesh, volume_m3: float, *, within_m: float) -> TetMesh:
     """Move the mesh's surface along its normals so that the mesh has a given volume.
 
     All surface nodes move by the same distance, except nodes of tetrahedra that would become too
-    small. These nodes are not moved.
+    small.
 
     Parameters
     ----------

@@ -114,8 +114,8 @@ class LabelledTooth:
             New voxel size [mm]. If None, the voxel size of the image is used, but at least 0.1 mm.
         region_m
             Corners [m] of the region with the smallest and the largest coordinates, in the site
-            frame. If None, the whole tooth is converted. The content of a voxel does not depend on
-            the region.
+            frame. If None, the whole tooth is converted. A voxel's content does not depend on the
+            region.
         remark
             Function that is called once for each assumption, finding or removed piece, with a
             sentence that describes it.
