@@ -18,7 +18,7 @@ from tissue.models.bone.bricks import BYTES_PER_VOXEL, BrickGrid, BrickStore
 Boxes = tuple[Array, Array]
 """Lowest corners and highest corners of boxes [m], each of shape (n, 3)."""
 PATCH = 4
-"""Number of bricks along the edge of a patch, the block of bricks made in one call; chosen."""
+"""Number of bricks along each edge of a patch, the smallest block that is made; chosen."""
 MARGIN = 1
 """Number of layers of bricks around a patch that are voxelised but not stored.
 
@@ -52,7 +52,7 @@ class BricksOnDemand:
     Raises
     ------
     InputError
-        If the lattice would not fit into memory, even without voxels.
+        If the table of brick positions would be too large, see `MOST_BRICKS`.
     """
 
     def __init__(self, anatomy: Anatomy, *, spacing_m: float) -> None:
@@ -99,7 +99,7 @@ class BricksOnDemand:
         return grown
 
     def _require_memory(self, patches: int) -> None:
-        """Raise an error if a number of patches does not fit into the free memory.
+        """Raise an error if the given number of patches does not fit into the free memory.
 
         A patch is a block of bricks.
         """

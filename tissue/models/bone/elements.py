@@ -113,7 +113,7 @@ pressed with half of its full edge force therefore moves at half of this speed.
 class CuttingForces:
     """Cutting forces on the elements of a tool in bone.
 
-    `find_bone` searches the bone in front of the elements once for each pose. `sums` then computes
+    `find_bone` searches for bone in front of the elements, once for each pose. `sums` then computes
     the forces for any velocity.
 
     Parameters
@@ -138,7 +138,7 @@ class CuttingForces:
         Bone in front of the cutting elements, shape (groups, FOUND, LANES). A group has LANES
         elements; `kernels.engagement.FOUND` is the number of values of an element.
     find_bone
-        Recorded kernel launch that searches the bone in front of the elements.
+        Recorded kernel launch that searches for bone in front of the elements.
     slopes
         Index of the first derivative in the array that `sums` returns, see `kernels.cutting.VALUE`.
     """

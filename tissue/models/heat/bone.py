@@ -142,7 +142,7 @@ class HeatedBone(MilledTissue):
             self._report_dose(self._is_behind())
 
     def _is_behind(self) -> Flags:
-        """Return a mask of the grid's cells that contain bone which the tool has left behind."""
+        """Return a mask of the cells with bone that the tool has left behind, see `FRONT_M`."""
         is_left: Flags = self.heat.field.filled > 0.0
         points = self.heat.cut_points_m
         if len(points) == 0:

@@ -224,7 +224,7 @@ class HeatGrid:
 
 
 def _cells(edges_m: Array, places_m: Array) -> Ints:
-    """Return the index of the cell that holds, or is nearest to, each position on an axis."""
+    """Return the index of the cell at each position on an axis, or of the nearest cell."""
     return np.clip(np.searchsorted(edges_m, places_m, side="right") - 1, 0, len(edges_m) - 2)
 
 
@@ -310,8 +310,8 @@ class Conduction:
     def _stable_step_s(self, along: tuple[Array, ...]) -> float:
         """Return the longest time step that is stable for any filled fractions of the cells [s].
 
-        The limit uses the largest conduction through a cell's faces, `OPEN` times the filled
-        fraction.
+        The limit assumes the largest conducting fraction of every face: `OPEN` times the filled
+        fraction of the cell.
         """
         total = np.zeros(self.grid.filled.shape)
         for axis, each in enumerate(along):
