@@ -79,7 +79,7 @@ class Track:
             Tip positions along the motion [m], and directions of the needle's axis at these
             positions, each of shape (n, 3).
         diameter_m
-            Distance within which two entries are treated as the same entry [m].
+            Distance within which two entry points count as equal [m].
         """
         steep = outward[:, 2] >= LEAST_COSINE
         travel = np.where(steep, -tips_m[:, 2] / np.where(steep, outward[:, 2], 1.0), -np.inf)
@@ -135,10 +135,10 @@ class NeedleFields:
     The fields are computed after the end of the run. While the needle is in another track, the
     block is shown without deformation.
 
-    The finite elements are linear, so Poisson's ratio should not be near 0.5. Next to the shaft,
-    strain and stress depend on the length of the mesh edges. The force on the shaft depends on it,
-    too. The reason is that a prescribed displacement of a line in an elastic body has no converged
-    solution.
+    The finite elements are linear, so Poisson's ratio should not be near 0.5. The force on the
+    shaft, and strain and stress next to the shaft, depend on the length of the mesh edges. They do
+    not converge when the mesh is refined, because the displacement of a line in an elastic body is
+    prescribed.
 
     Parameters
     ----------
@@ -147,8 +147,8 @@ class NeedleFields:
     elasticity
         Lame constants [Pa], shape (2,).
     near_m
-        Largest distance of an entry point from the track's entry point at which the entry belongs
-        to the track [m], for example the needle's diameter.
+        Distance from the track's entry point within which another entry point belongs to the track
+        [m], for example the needle's diameter.
     interval_s
         Time between two frames [s].
     """
