@@ -29,7 +29,7 @@ rotation of the tooth.
 PULP_LIMIT_K = 5.5
 """Temperature rise above which the pulp may not survive [K] (Zach and Cohen 1965)."""
 WARN_M = (1.0e-3, 0.5e-3)
-"""Thicknesses of the dentin over the pulp below which an event is reported [m].
+"""Two thicknesses of the dentin over the pulp; an event is reported below each of them [m].
 
 Below 0.5 mm the pulp is at risk. This limit is quoted from the literature from memory.
 """
@@ -42,8 +42,8 @@ class ToothModel(MilledTissue):
     voxels that the pulp filled at the start. Once the bur is in dentin, the smallest distance so
     far is the smallest thickness of the remaining dentin. Before that, the distance also includes
     enamel and air. The error of the distance is half a voxel. If the voxels contain no pulp, the
-    distance is not measured. The voxels extend beyond the region that the bur can reach by a
-    margin; the pulp is then farther from the bur than this margin.
+    distance is not measured. The pulp is then farther from the bur than the margin of voxels around
+    the region that the bur can reach.
 
     If stress is computed, the tooth moves in every tick as a rigid body under the force, with the
     compliance of its ligament. The motion is reported at the centroid of the tooth's material, and
