@@ -177,7 +177,10 @@ class KeepClear:
         self._tick += 0 if placed else 1
 
     def overlaps(self) -> list[str]:
-        """Return a text with the depth for each structure that the tool overlaps at the last tick."""
+        """Return one text for each structure that the tool overlapped in the last tick.
+
+        The text contains the depth of the overlap.
+        """
         return [
             f"{-distance_mm:.2f} mm inside {breach.name}"
             for breach, distance_mm in zip(self._breaches, self.measures, strict=True)

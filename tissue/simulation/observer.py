@@ -29,7 +29,7 @@ to other threads.
 FULL = 0.9
 """Largest share of the processor time that the ticks may use at a raised priority.
 
-If real-time threads have used 95 % of a second, Linux stops them for the rest of this second.
+When real-time threads have used 95 % of a second, Linux stops them for the rest of the second.
 """
 BEHIND = (
     "the ticks were {:.3g} s behind the wall clock in all. The schedule was moved by "
@@ -38,10 +38,8 @@ BEHIND = (
 BEHIND_S = 0.01
 """Largest lateness of a tick [s] for which the following ticks run without waiting.
 
-These ticks run without waiting until the run is on time again. After a larger lateness, the
-schedule is moved.
-
-A person does not feel when up to ten ticks run faster than in real time.
+The following ticks run without waiting until the run is on time again. After a larger lateness, the
+schedule is moved. A person does not feel that up to ten ticks run faster than real time.
 """
 SPIN_S = 1.5e-4
 """Time before a tick is due [s] at which the thread stops sleeping and polls the clock.
@@ -163,8 +161,7 @@ class Prioritised(RunObserver):
     """Observer that raises the priority of the thread that runs the ticks, until the run ends.
 
     The priority is restored earlier if the ticks use more than the share `FULL` of the time.
-    Otherwise the system would stop the thread. The pause would be longer than the delays at an
-    ordinary priority.
+    Otherwise the system would stop the thread, for longer than the delays at an ordinary priority.
 
     Attributes
     ----------

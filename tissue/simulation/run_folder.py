@@ -194,7 +194,7 @@ class RunFolder:
     def ending(self) -> Iterator[None]:
         """Enter a ``with`` block; if an error ends it, write the cause to the summary.
 
-        The folder is then also released.
+        After an error, the folder is also released.
         """
         try:
             yield

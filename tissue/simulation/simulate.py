@@ -135,8 +135,8 @@ def simulate(
         `tissue.haptics.device.safe_device.SafeDevice`.
     observers
         Observers that are called in every tick, in this order. Their method `on_begin` is called in
-        reverse order. The reason is that the first observer of a live run must take over Ctrl-C
-        after all other observers have begun.
+        reverse order, because the first observer of a live run must take over Ctrl-C after all
+        other observers have begun.
 
     Raises
     ------
@@ -327,7 +327,7 @@ def _prediction_note(trace: Table, motion: HandMotion, scene: Scene) -> dict[str
 
 
 def _training_note(scene: Scene) -> dict[str, str]:
-    """Return a note if a built-in predictor was trained on another task than that of the scene.
+    """Return a note if a built-in predictor was trained on a task that differs from the scene.
 
     The name of a scene chooses the built-in predictor.
     """

@@ -150,8 +150,8 @@ def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
     Raises
     ------
     InputError
-        If the port does not exist or another program uses the port. The error is also raised if a
-        client is to move the tool, but a page or a real device also moves it.
+        If the port does not exist or another program uses the port. The error is also raised if
+        both a client and a page or real device would move the tool.
     """
     mover = "--web" if web else scene.held.kind if opens_device(scene) else None
     if link.drives and mover is not None:
@@ -255,8 +255,8 @@ class SlicerPublisher(Publisher):
     link
         Port, and whether a client drives the tool.
     mouse
-        Device that the transform of a client moves; None if no client moves the tool. If a client
-        moves the tool, the run ends when the process that publishes ends.
+        Device that the transform of a client moves; None if no client moves the tool. With a
+        device, the run ends when the publishing process ends.
     """
 
     what = "the link to 3D Slicer"

@@ -66,8 +66,8 @@ class SharedArrays:
 
     Access to the arrays needs no system call.
 
-    The methods `write` and `read` are for arrays that must not be read during a write: `read` tries
-    again while a write is in progress. Only one of the processes may write an array.
+    `write` and `read` protect an array from being read during a write: `read` tries again while a
+    write is in progress. Only one of the processes may write an array.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class SharedArrays:
 class SharedTissue:
     """Shared arrays of a tissue.
 
-    If the scene and the trace are enough to draw a tissue, such as a wall, it has no shared arrays.
+    A tissue that can be drawn from scene and trace alone, such as a wall, has no shared arrays.
 
     Attributes
     ----------
