@@ -233,7 +233,7 @@ class CarvedSurface:
     Attributes
     ----------
     part
-        Slices of an array with one value per voxel. They select the voxels that `of` needs.
+        Slices that select the voxels for `of` from an array with one value per voxel.
     """
 
     def __init__(self, volume: VoxelVolume, box: Box, *, axis: int) -> None:

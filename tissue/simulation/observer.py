@@ -1,6 +1,6 @@
 """Observers that are called in every tick of a run, such as the wall clock.
 
-They must not change the result of the run.
+Observers must not change the result of the run.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -97,11 +97,10 @@ class WallClock:
     """Schedule that starts the ticks of a run in real time.
 
     Tick i is due i milliseconds after the start, regardless of the duration of earlier ticks.
-    Delays therefore do not accumulate. A late tick runs at once, and so do the following ticks
-    until the run is on time again. If a tick is late by more than `BEHIND_S`, all later ticks are
-    postponed by the lateness. The lateness is then counted as skipped time. The simulated time of a
-    tick never changes, and no tick is left out. The skipped time is recorded with microsecond
-    resolution.
+    Delays therefore do not accumulate. After a late tick, ticks run without waiting until the run
+    is on time again. If a tick is late by more than `BEHIND_S`, all later ticks are postponed by
+    the lateness. The lateness is then counted as skipped time. The simulated time of a tick never
+    changes, and no tick is left out. The skipped time is recorded with microsecond resolution.
 
     Attributes
     ----------

@@ -351,7 +351,7 @@ def _remark(scene: Scene, placement: Placement | None) -> str:
     """Return TOML comments with the pose of the scene in the frame of the anatomy's file.
 
     If the anatomy has keys for its site, a user can copy three of the comments into the scene to
-    fix the site.
+    keep this site.
     """
     if placement is None:
         return ""

@@ -240,8 +240,8 @@ def field_limits(name: str, values: Sequence[Singles]) -> tuple[float, float]:
     """Return the two ends of a field's colour scale, computed from arrays of its values.
 
     The scale is symmetric about 0 if there are negative values. For von Mises stress the scale is
-    logarithmic and begins above 0. The reason is that the stress decreases by several powers of ten
-    with the distance from the tool.
+    logarithmic and begins above 0, because the stress decreases by several powers of ten with the
+    distance from the tool.
     """
     values = [one[np.isfinite(one)] for one in values]
     values = [one for one in values if one.size]

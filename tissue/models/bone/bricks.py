@@ -169,8 +169,8 @@ class BrickStore:
         at
             Position of the volume's first brick on the grid.
         margin
-            Number of outer layers of bricks, at each face of the volume, that are not stored. These
-            layers only show how the bone continues beyond the stored bricks.
+            Number of outer layers of bricks, at each face of the volume, that are not stored. The
+            outer layers only show how the bone continues beyond the stored bricks.
 
         Returns
         -------
@@ -442,8 +442,8 @@ def _nearest(remaining: NDArray[np.uint16]) -> Bytes:
 def _filled_up(surface: Bytes, counts: tuple[int, ...]) -> Bytes:
     """Return the stored distances to the surface, padded to whole bricks.
 
-    A padded voxel has the distance of the nearest voxel of the volume plus the length of one voxel.
-    Padded voxels are always outside the bone.
+    The distance at a padded voxel is the distance at the nearest voxel of the volume plus one
+    voxel. Padded voxels are always outside the bone.
     """
     pad = [(0, BRICK * count - n) for count, n in zip(counts, surface.shape, strict=True)]
     padded = np.pad(surface, pad, mode="edge")

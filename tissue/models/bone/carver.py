@@ -65,7 +65,7 @@ of 0.002 voxel. This is a fifth of `kernels.older_cuts.RAMP`.
 LONGEST_STEP_VOXELS = 0.5
 """Longest motion between two carved poses [voxel]; a longer motion in a tick is divided."""
 OLDER_LAG_M = 2.5e-4
-"""Motion of the tool after which its cuts become older cuts [m]; chosen.
+"""Motion of the tool between two updates of the older cuts [m]; chosen.
 
 Older cuts are all cuts except the most recent cuts, see `kernels.carving`. The poses that are
 stored in `RecentPoses` must cover a longer motion than this value.
@@ -77,7 +77,7 @@ After such a change, the tool may return to places where it has already cut.
 """
 WORKERS_CPU = 32
 WORKERS_GPU = 2048
-"""Number of GPU workers that share one launch of the carving kernel; chosen."""
+"""Number of GPU workers that share one launch of the carving kernel; it affects only the speed."""
 
 
 STATE = ("_motions", "_marks", "_travelled", "_turned", "_next_group", "_debt", "_behind")
@@ -107,7 +107,7 @@ class Carver:
     tool
         The cutter's distance table on the device.
     removed_steps
-        Decrease so far of the sum of `BrickStore.remaining` in each layer, shape (layers,).
+        Decrease of the sum of `BrickStore.remaining` in each layer so far, shape (layers,).
     changes
         Counter that increases when bricks are carved or a state is restored. While the counter is
         constant, the bone does not change.

@@ -82,7 +82,7 @@ def edge_lengths_m(shell: PointShell, cutter: Cutter) -> Array:
 
 
 def _chunk_bounds(shell: PointShell) -> tuple[Array, Array]:
-    """Return a bounding ball and a cone of normals for each chunk of points.
+    """Return a bounding ball and a cone of normals for each chunk of `CHUNK` successive points.
 
     Each array has shape (chunks, 4). A ball has a centre and a radius [m]. A cone has an axis and
     the sine of its half angle; the sine is set to 2 if the cone is wider than a half space.

@@ -37,7 +37,7 @@ from tissue.models.tissue_model import Response, ToolMotion
 HIGHEST_EXPONENT = 5.0
 """Largest density exponent that a scene accepts; the smallest is 0."""
 MIDDLE = 0.5 * HIGHEST_EXPONENT
-"""Middle c of the range of exponents, which minimises the largest magnitude of p - c."""
+"""Middle c of the range of density exponents p; it minimises the largest magnitude of p - c."""
 ERROR = 1e-8
 """Largest relative error of an element's interpolated density factor.
 
@@ -134,7 +134,10 @@ For a force proportional to the thickness to the power 1 - m, the relative error
 interpolation is at most m (1 - m) ln(ratio) ** 2 / 8. For m = 0.5 this bound is 0.2 %.
 """
 THINNEST = 1e-3
-"""Smallest nonzero node of chip thickness, divided by the largest node; chosen."""
+"""Smallest nonzero node of chip thickness, divided by the largest node; chosen.
+
+Below this node, forces are interpolated linearly down to a thickness of zero.
+"""
 
 
 LINEAR_CHIPS_M = np.array([0.0, THICKEST_M])

@@ -70,8 +70,8 @@ class HeatGrid:
     ) -> "HeatGrid":
         """Merge the voxels of a tooth or of bone into cells.
 
-        The heat capacity of bone is the capacity of bone with filled pores. It does not depend on
-        the apparent density.
+        The heat capacity of bone is the capacity of bone with filled pores. This capacity does not
+        depend on the apparent density.
 
         Parameters
         ----------
@@ -128,10 +128,10 @@ class HeatGrid:
     def conductances_W_K(self) -> tuple[Array, ...]:
         """Return the conductances between neighbouring full cells along x, y and z [W/K].
 
-        Each array has the shape of the grid; an entry belongs to a cell and the next cell along the
-        axis. The two half cells are in series: the conductance is area / (d / 2k + d' / 2k'), with
-        the widths d and d' and the conductivities k and k'. The last plane of an array along its
-        axis is 0.
+        Each array has the shape of the grid. An entry belongs to the face between a cell and the
+        next cell along the axis. The two half cells are in series: the conductance is area / (d /
+        2k + d' / 2k'), with the widths d and d' and the conductivities k and k'. The last plane of
+        an array along its axis is 0.
         """
         found = []
         conductivity = self.conductivity_W_mK

@@ -1,11 +1,11 @@
 """Displacement, strain and stress of a tissue block that a needle deflects, for display.
 
-The needle's own model (`tissue.models.needle.model`) is one-dimensional. It computes the deflection
-of the organ at the needle, and the inserted length. For display, this deflection is applied to a
-linear-elastic block around the first track of the needle. The nodes along the inserted shaft are
-displaced along the needle's axis by the deflection. Before the puncture, only the node at the entry
-is displaced. The solver computes the nodal forces that cause these displacements. The force on the
-needle does not depend on this block.
+The needle's own model (`tissue.models.needle.model`) is one-dimensional. This model computes the
+deflection of the organ at the needle, and the inserted length. For display, this deflection is
+applied to a linear-elastic block around the first track of the needle. The nodes along the inserted
+shaft are displaced along the needle's axis by the deflection. Before the puncture, only the node at
+the entry is displaced. The solver computes the nodal forces that cause these displacements. The
+force on the needle does not depend on this block.
 """
 
 from dataclasses import dataclass, replace

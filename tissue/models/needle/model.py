@@ -27,14 +27,15 @@ class Insertion:
     Here a1 and a2 are the coefficients of the organ's elastic force. ``tip`` is the cutting force,
     which is constant and acts only where the tip goes deeper than before. ``hold`` is the constant
     force with which the holes in the membranes hold the shaft. ``friction`` is the dry friction of
-    the shaft, without viscous friction. It increases with L. While the pull is smaller than the sum
-    on the right side, needle and organ move together: the shaft sticks and L is constant. The pull
-    is the applied force of Karnopp's friction law. The shaft slides if the pull exceeds the right
-    side with the static friction. Then the balance gives u in closed form, and L = z - u. An intact
-    membrane stops the tip until the pull also exceeds the puncture force. Then the organ springs
-    back along the shaft at once, to the deflection u of the new balance. Before the puncture of the
-    capsule, L is 0, so the force is the polynomial of Okamura (2004) in u = z. After the puncture
-    the deflection, the elastic force and the inserted length are larger than zero.
+    the shaft, which increases with L. Viscous friction is not included. While the pull is smaller
+    than the sum on the right side, needle and organ move together: the shaft sticks and L is
+    constant. The pull is the applied force of Karnopp's friction law. The shaft slides if the pull
+    exceeds the right side with the static friction. Then the balance gives u in closed form, and L
+    = z - u. An intact membrane stops the tip until the pull also exceeds the puncture force. Then
+    the organ springs back along the shaft at once, to the deflection u of the new balance. Before
+    the puncture of the capsule, L is 0, so the force is the polynomial of Okamura (2004) in u = z.
+    After the puncture the deflection, the elastic force and the inserted length are larger than
+    zero.
 
     A shaft sticks when its motion stops or reverses, or when an obstacle stops the tip. It also
     sticks when its speed falls below half of `ShaftFriction.stick_band_m_s`. Viscous friction acts

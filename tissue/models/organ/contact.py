@@ -434,8 +434,7 @@ class SurfaceContact:
     def scale_compliance(self, factor: float) -> None:
         """Set the factor by which the compliance is multiplied.
 
-        For a viscous organ, the factor is the fraction of the elastic displacement that occurs
-        within a tick.
+        For a viscous organ, the factor is slightly above 1, because of the creep within a tick.
         """
         self.result.compliance_scale = require_positive("factor", factor, "use 1 for no change")
         self._body.scale = wp.float64(factor)

@@ -48,8 +48,8 @@ class FinestLevel:
     coarser grids include the springs. A smoother with the springs would save no iteration in the
     scenes with a molar and with caries. With a ligament 100 times as stiff, it would save one of
     ten iterations. The position of every particle is used without approximation. If particles were
-    moved to the regular points of the strips, a molar on a rotated grid would need 31 to 44
-    iterations instead of 14 to 15.
+    moved to the centres of eight equal cubes of their cell, a molar on a rotated grid would need 31
+    to 44 iterations instead of 14 to 15.
 
     Parameters
     ----------

@@ -23,8 +23,8 @@ CENTROID_COLUMNS = ("tooth_centroid_x_um", "tooth_centroid_y_um", "tooth_centroi
 BUR_COLUMNS = ("tooth_at_bur_x_um", "tooth_at_bur_y_um", "tooth_at_bur_z_um")
 """Names of the trace columns with the rigid displacement of the tooth at the bur.
 
-The displacement is measured at the point that the bur touches. It includes the translation and the
-rotation of the tooth.
+The displacement of the point that the bur touches includes the translation and the rotation of the
+tooth.
 """
 PULP_LIMIT_K = 5.5
 """Temperature rise above which the pulp may not survive [K] (Zach and Cohen 1965)."""

@@ -90,7 +90,8 @@ def given_note(
 ) -> dict[str, str]:
     """Return the note ``materials``, which lists the given constants that are used.
 
-    `by` is the name of the scene or other object that uses the constants, as shown in the note.
+    `rests_on` lists the constants that a scene or another object uses; `by` names this object in
+    the note.
 
     If no constants were given, there is no note, and all constants have their built-in values.
 

@@ -114,9 +114,9 @@ class Series(NamedTuple):
 
     A person notices force changes of at least kappa (F + F0). The low-force term F0 contains the
     friction of the device, because friction also hides forces. The sensitivity is therefore
-    proportional to F / (F + F0) / (1 + c K s). It has its maximum at c K = (F0 / s / (D + F0
-    s))^(1/2). At a smaller scale, the force is hidden by the friction and by the threshold of the
-    person. At a larger scale, the force pushes the hand back.
+    proportional to F / (F + F0) / (1 + c K s). The maximum is at c K = (F0 / s / (D + F0 s))^(1/2).
+    At a smaller scale, the force is hidden by the friction and by the threshold of the person. At a
+    larger scale, the force pushes the hand back.
 
     Attributes
     ----------

@@ -32,8 +32,8 @@ EVENTS = 64
 EVENT_BYTES = 256
 """Largest size of the text of an event [bytes]; `EVENTS` is the number of stored events.
 
-Events are stored until the other process has sent them. They are in memory that two processes
-share, so their size is fixed. A run reports few events per second.
+Events are stored until the other process has sent them. The memory for events is shared by two
+processes, so its size is fixed. A run reports few events per second.
 """
 
 

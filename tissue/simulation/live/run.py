@@ -331,7 +331,7 @@ class LiveObserver(Paced):
     def _hold(self, window: WindowProcess, index: int) -> None:
         """Wait while the window does not respond.
 
-        The reason is that the user can then neither see nor move the tool.
+        Without a window, the user can neither see nor move the tool.
         """
         now = perf_counter()
         if window.frames != self._frames:

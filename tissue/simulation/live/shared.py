@@ -262,7 +262,7 @@ class BoneSurface:
     surface
         Surface [mm], with normals. It has no cells if no bone is left.
     volume
-        Volume of blocks, each of several voxels, whose content follows the bone of the run.
+        Volume of blocks of several voxels. `update` copies the bone of the run into the blocks.
     """
 
     def __init__(self, start: Start, arrays: SharedArrays) -> None:
@@ -311,8 +311,8 @@ class BoneSurface:
 class OrganSurface:
     """Surface of a soft organ, with its displacement.
 
-    Where the displacement is not known, the shown displacement decreases with the distance from the
-    nodes whose displacement is known.
+    At nodes without a known displacement, the shown displacement decreases with the distance from
+    the nodes with a known displacement.
 
     Parameters
     ----------
@@ -365,7 +365,7 @@ class OrganSurface:
     def _spread(self, known: Flags) -> None:
         """Find, for each point of the surface, the nearest point with a known displacement.
 
-        Also compute the share of that displacement with which the point is drawn.
+        Also compute the share of this displacement that is drawn at the point.
         """
         from scipy.spatial import cKDTree
 
