@@ -26,9 +26,7 @@ from tissue.simulation.trace import Table
 MOSTLY = 0.5
 """Smallest share of the caries within the tool's reach that a run must remove.
 
-If less is removed, the run contains a note on missed caries.
-
-The share was chosen by judgement.
+If less is removed, the run contains a note on missed caries. The share was chosen by judgement.
 """
 TOLERANCE_MM = 0.05
 """Requested minus reached depth of a thrust [mm], above which a run has a note.
@@ -242,8 +240,8 @@ def _too_close_mm(parts: Parts, apart_mm: float) -> dict[str, float]:
     """Return the smallest distances [mm] to structures that the tool came too close to.
 
     ``apart_mm`` is the largest distance of the tool from its path. A structure is included if the
-    tool came closer than the margin, but not by more than ``apart_mm``. The deviation from the path
-    can then be the reason.
+    tool came closer than the margin by at most ``apart_mm``. The distance from the path can then be
+    the reason.
     """
     found = {}
     kept = {} if parts.keep_clear is None else parts.keep_clear.summary()

@@ -34,7 +34,7 @@ from tissue.system.blas_threads import one_blas_thread
 SWITCH_S = 5e-5
 """Longest time for which a background thread may keep the interpreter from the ticks [s].
 
-The value is a twentieth of a tick. Python's default of 5 ms is five ticks.
+The value is a twentieth of a tick. Python's default is five ticks.
 """
 
 
@@ -298,7 +298,7 @@ class Loop:
         """Put the tool at the start of the motion; call this before the first tick.
 
         The duration of this call is not recorded in the timing. If `resume` is True, the tissue
-        keeps the state in which another loop has left it at the same pose.
+        keeps the state that it has from another loop, which must have ended at the same pose.
         """
         response = self._stepper.place(resume=resume)
         if self.parts.keep_clear is not None:

@@ -38,8 +38,8 @@ BEHIND = (
 BEHIND_S = 0.01
 """Largest lateness of a tick [s] for which the following ticks run without waiting.
 
-The following ticks run without waiting until the run is on time again. After a larger lateness, the
-schedule is moved. A person does not feel that up to ten ticks run faster than real time.
+Ticks wait again when the run is on time. After a larger lateness, the schedule is moved. A person
+does not feel that up to ten ticks run faster than real time.
 """
 SPIN_S = 1.5e-4
 """Time before a tick is due [s] at which the thread stops sleeping and polls the clock.

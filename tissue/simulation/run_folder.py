@@ -149,8 +149,8 @@ class RunFolder:
 
     An error is raised for a folder that holds another run, unless `overwrite` is set. The marker
     file of a folder lists the files that a run wrote. Only these files are replaced or removed. An
-    error is also raised if a file of the run would have the name of an unlisted file. `begin` is
-    the first method that changes the folder.
+    error is also raised if the run would overwrite another file. `begin` is the first method that
+    changes the folder.
 
     Parameters
     ----------

@@ -26,9 +26,9 @@ A voxel stores distances up to a limit. One brick is wider than this limit, so t
 of the patch are correct.
 """
 BYTES_WHILE_MADE = 3 * BYTES_PER_VOXEL
-"""Memory per voxel while a patch is made [bytes].
+"""Memory per voxel while a patch (a block of bricks) is made [bytes].
 
-This memory includes the stored voxel, unused capacity of the stored arrays, and temporary arrays.
+The memory includes the stored voxel, unused capacity of the stored arrays, and temporary arrays.
 """
 MOST_BRICKS = 2.5e8
 """Largest number of brick positions on the lattice; the table of positions then takes 1 GB."""

@@ -44,7 +44,7 @@ CARVE_LAG_M = 2.0e-5
 """Largest motion of the tool between two carvings of the same brick [m]; chosen.
 
 The motion is also limited to a quarter of a voxel. For a fast tool, the limit is `FAST_LAG_VOXELS`.
-A brick that is carved only after this motion hardly changes the force, see `STEADY_GROUPS`.
+The delay of the carving hardly changes the force, see `STEADY_GROUPS`.
 """
 STEADY_GROUPS = 16
 """Largest number of groups of bricks that are carved in a tick for a slow tool; chosen.

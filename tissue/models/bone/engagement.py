@@ -91,8 +91,7 @@ class DensityNodes:
     def strengths(self, exponent: float, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
         """Return the weights of the nodes for a density exponent, shape (k,).
 
-        For each density, `shares` times these weights is (factor * density / reference) **
-        exponent.
+        For each density, `shares` @ weights is (factor * density / reference) ** exponent.
         """
         tilt = (self.densities_kg_m3 / self.middle_kg_m3) ** -MIDDLE
         return (factor * self.densities_kg_m3 / reference_kg_m3) ** exponent * tilt

@@ -20,9 +20,9 @@ from tissue.materials.scene_constants import Materials
 GROWTH = (1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 4, 5, 6)
 """Widths of the cells outside the fine part of the grid [voxel], from inside to outside.
 
-The reference is the peak temperature rise of the pulp in the molar scene, with equal cells of 0.25
-mm. With these widths, the peak is 9 % lower. With widths of (1, 1, 2, 2, 3, 4, 5, 6), the peak is
-33 % lower. The last width is repeated up to the end of the grid.
+The last width is repeated up to the end of the grid. In the molar scene, the peak temperature rise
+of the pulp is 9 % lower than with equal cells of 0.25 mm. With widths of (1, 1, 2, 2, 3, 4, 5, 6),
+it is 33 % lower.
 """
 LEAST_FILLED = 0.02
 """Fraction of material below which a cell is treated as empty.

@@ -136,9 +136,9 @@ class NeedleFields:
     block is shown without deformation.
 
     The finite elements are linear, so Poisson's ratio should not be near 0.5. The force on the
-    shaft, and strain and stress next to the shaft, depend on the length of the mesh edges. They do
-    not converge when the mesh is refined, because the displacement of a line in an elastic body is
-    prescribed.
+    shaft, and strain and stress next to the shaft, depend on the length of the mesh edges. These
+    results do not converge when the mesh is refined, because the displacement of a line in an
+    elastic body is prescribed.
 
     Parameters
     ----------
@@ -223,8 +223,8 @@ class NeedleFields:
     def forces_N(self, deflection_m: float, inserted_m: float) -> Array:
         """Return the nodal forces [N] that cause a deflection, shape (k, 3).
 
-        The track has k nodes. Down to the inserted length, they are displaced along the needle by
-        the deflection. The needle is rigid, so they are not displaced across it.
+        Down to the inserted length, the k nodes of the track are displaced by the deflection along
+        the needle. The needle is rigid, so the nodes are not displaced across it.
         """
         moved = self._depths_m <= inserted_m + ON_TRACK_M
         forces = np.zeros((len(self.nodes), 3))

@@ -17,12 +17,12 @@ W is replaced by the compliance of the tangent stiffness at the present displace
 method).
 
 A run without a real device waits until the equilibrium is computed. With a real device, a second
-thread computes the equilibrium. Until it is found, the ticks continue with the last offset.
+thread computes the equilibrium, and the ticks continue with the last offset.
 
 An organ that relaxes is quasi-linear viscoelastic (Fung 1993, Biomechanics, 2nd edition, chapter
 7). The nodal forces of the organ are the hereditary integral of the elastic nodal forces, with one
-reduced relaxation function. The inverse of this integral, with the creep function, is applied to
-the nodal forces f. The result is called the crept forces (`tissue.models.organ.model`). The
+reduced relaxation function. The inverse of this integral contains the creep function. Applied to
+the nodal forces f, the inverse gives the crept forces (`tissue.models.organ.model`). The
 displacement is the response of the elastic law to the crept forces: the equations above hold with
 the crept forces in place of f. The integral keeps the directions of the forces fixed, so tissue
 must not rotate much while it relaxes.

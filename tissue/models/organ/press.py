@@ -16,7 +16,7 @@ from tissue.models.organ.soft_organ import SoftOrgan, ToolPath, linear_triangles
 from tissue.models.tissue_model import ToolMotion
 
 STEPS = 100
-"""Smallest number of steps from the first touch to the depth.
+"""Smallest number of steps from the first touch to the final depth.
 
 Every step gives one row of `PressCurve`. Even with friction, 10 or 400 steps change the force of a
 slanted press by only 0.01 %.

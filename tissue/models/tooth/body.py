@@ -318,8 +318,7 @@ class ParticleBody:
         The force is spread over the particles within a radius of the point. The share of a particle
         is proportional to its remaining volume times its `ball_weight`. When the cells are refined,
         the stress of such a force converges, whereas the stress of a point force increases without
-        bound. If no particle lies within the radius, for example because the cells are much larger,
-        the force acts at the point.
+        bound. If no remaining particle lies within the radius, the force acts at the point.
         """
         near = np.array(self._tree.query_ball_point(point_m, radius_m), np.int64)
         near = near[self.cells.live[self.cells.particle_cell[self.cells.rank[near]]] > 0]

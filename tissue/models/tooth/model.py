@@ -31,7 +31,7 @@ PULP_LIMIT_K = 5.5
 WARN_M = (1.0e-3, 0.5e-3)
 """Two thicknesses of the dentin over the pulp; an event is reported below each of them [m].
 
-Below 0.5 mm the pulp is at risk. This limit is quoted from the literature from memory.
+Below 0.5 mm the pulp is at risk. This limit is quoted from memory.
 """
 
 
@@ -201,8 +201,7 @@ class ToothModel(MilledTissue):
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Add the tick to the heat computation.
 
-        At the end of an interval, begin the next stress computation from a copy of the changed
-        voxels.
+        At the end of an interval, begin a stress computation from a copy of the changed voxels.
         """
         if self.heat is not None:
             assert self._response is not None

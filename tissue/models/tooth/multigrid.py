@@ -33,8 +33,8 @@ from tissue.models.tooth.stiffness import CellStiffness
 COARSEST_NODES = 300
 """Largest number of nodes of a grid that is solved directly.
 
-The molar's grid with cells of 2.4 mm is solved directly. If one sweep smoothed it instead, the
-number of iterations to a tolerance of 1e-6 would double.
+If the molar's grid with cells of 2.4 mm were only smoothed by one sweep, the number of iterations
+to a tolerance of 1e-6 would double.
 """
 SPLIT_NODES = 4000
 """Largest number of nodes of a grid whose kernel launches run on one core.

@@ -36,7 +36,7 @@ LAYERS = (*GLENOID_LAYERS, *VERTEBRA_LAYERS, *TOOTH_LAYERS)
 A file of material constants may name any of these layers, even layers that the scene does not have.
 """
 UNUSUAL = 10.0
-"""Factor beyond either end of a cited range at which a run questions the unit of a value.
+"""Factor by which a value must lie outside its cited range to make a run question the unit.
 
 The value was chosen by judgement.
 """

@@ -290,12 +290,12 @@ def judged_loop(settings: LoopSettings) -> WallLoop:
     """Return the loop, including its total delay, with which a coupling is checked for stability.
 
     For a tool that cuts or only touches bone, or presses a tissue that reports its stiffness, the
-    force responds to a device sample in the same tick. For any other tissue, the model of the tool
-    estimates the stiffness of the tissue from the last motion of the tool. For a tool that slides
-    along the surface, this is the stiffness along the surface. The force balance is then found one
-    tick later. For a guarded predictor, the loop contains the predictor or its fallback: the one
-    with the lower critical stiffness. The loop also includes the vibration of a cutter's teeth,
-    because the amplitude of the vibration is proportional to the force.
+    force responds to a device sample in the same tick. For any other tissue, the force balance is
+    found one tick later, and the model of the tool estimates the stiffness of the tissue from the
+    last motion. For a tool that slides along the surface, the estimate is the stiffness along the
+    surface. For a guarded predictor, the loop contains the predictor or its fallback: the one with
+    the lower critical stiffness. The loop also includes the vibration of a cutter's teeth, because
+    the amplitude of the vibration is proportional to the force.
 
     A slow device holds each force until its next sample, so its loop is checked at the sample rate
     of the device.

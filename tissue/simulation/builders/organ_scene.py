@@ -54,9 +54,7 @@ HAND_M = 0.01
 
 The distance is measured at the entry point of the needle. If a hand inserts the needle farther
 away, the drawn tissue is undeformed. Otherwise, displacement and stress are drawn as if the needle
-were on the planned track.
-
-The value is an eighth of the size of the drawn block of tissue.
+were on the planned track. The value is an eighth of the width of the drawn block.
 """
 
 

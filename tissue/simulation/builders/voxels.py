@@ -415,7 +415,7 @@ def _read_tooth(
 ) -> label_volume.LabelledTooth:
     """Read the tooth of a label volume, and keep the result for the next call.
 
-    The result is kept in memory, because the tool and the stress model need the same tooth.
+    The tool and the stress model need the same tooth.
     """
     from meshes.ct.labels import header_names
     from meshes.images.reading import read_image

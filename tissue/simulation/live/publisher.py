@@ -1,7 +1,7 @@
 """Publication of a live run for ROS 2 and for 3D Slicer, each in a separate process.
 
-The process begins and ends with the run. The thread that runs the ticks checks that the process
-still exists.
+Each process begins and ends with the run. The thread that runs the ticks checks that the processes
+still exist.
 """
 
 import socket
@@ -67,7 +67,7 @@ class Publisher(RunObserver):
     """
 
     what = "publishing for ROS 2"
-    """Description of the process in the event that reports its unexpected end."""
+    """Description of this process for the event that reports an unexpected end."""
     ends_run = False
     """True if the end of the process also ends the run."""
 

@@ -55,9 +55,7 @@ FADES_MM = 20.0
 """Distance over which the displacement of a drawn organ decreases by a factor of e [mm].
 
 The displacement is known only at some nodes of the surface. Elsewhere, the drawn displacement
-decreases with the distance from these nodes.
-
-The value was chosen for the appearance of the picture. No force depends on it.
+decreases with the distance from these nodes. No force depends on this value.
 """
 
 
@@ -250,7 +248,7 @@ def tissue_surface(start: Start, arrays: SharedArrays) -> "BoneSurface | OrganSu
 class BoneSurface:
     """Surface of a bone, computed from blocks of voxels in the bricks that the ticks copy.
 
-    A brick is a block of 8 x 8 x 8 voxels.
+    A brick is 8 x 8 x 8 voxels.
 
     Parameters
     ----------
