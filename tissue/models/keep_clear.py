@@ -79,16 +79,20 @@ class Structure:
 
 @dataclass
 class _Breach:
-    """Record of the breaches (overlaps with the tool) of one structure."""
+    """Record of the smallest distance and the breaches (overlaps with the tool) of a structure."""
 
     name: str
     least_m: float = inf
+    least_at_s: float = 0.0
+    least_tip_m: tuple[float, ...] = ()
     deepest_m: float = 0.0
     began_s: float | None = None
     deepest_now_m: float = 0.0
     lasted_s: float = 0.0
     first_s: float | None = None
     first_below_s: float | None = None
+    below_since_s: float | None = None
+    below_s: float = 0.0
 
 
 class KeepClear:
@@ -173,7 +177,7 @@ class KeepClear:
             distance_m = search(tool)
             self.measures[number] = 1e3 * distance_m
             if self._follows and not placed:
-                self._follow(self._breaches[number], distance_m)
+                self._follow(self._breaches[number], distance_m, tool)
         self._tick += 0 if placed else 1
 
     def overlaps(self) -> list[str]:
@@ -202,13 +206,20 @@ class KeepClear:
             return self._tick * TICK_S
         return float(self._times_s[min(self._tick, len(self._times_s) - 1)])
 
-    def _follow(self, breach: _Breach, distance_m: float) -> None:
+    def _follow(self, breach: _Breach, distance_m: float, tool: ToolMotion) -> None:
         """Update the record of a structure, and report the start and the end of an overlap."""
-        breach.least_m = min(breach.least_m, distance_m)
+        if distance_m < breach.least_m:
+            breach.least_m = distance_m
+            breach.least_at_s = self._now_s
+            breach.least_tip_m = tuple(tool.tip_m.tolist())
         is_too_close = self._margin_m > 0.0 and distance_m < self._margin_m
         if is_too_close and breach.first_below_s is None:
             breach.first_below_s = self._now_s
             self.notices.append(f"came closer than {1e3 * self._margin_m:g} mm to {breach.name}")
+        if not is_too_close:
+            self._end_below(breach)
+        elif breach.below_since_s is None:
+            breach.below_since_s = self._now_s
         if distance_m < 0.0:
             if breach.began_s is None:
                 breach.began_s = self._now_s
@@ -219,6 +230,12 @@ class KeepClear:
             breach.deepest_m = max(breach.deepest_m, -distance_m)
         elif breach.began_s is not None:
             self._leave(breach, "left")
+
+    def _end_below(self, breach: _Breach) -> None:
+        """Add a time span below the margin that ends now to the record of a structure."""
+        if breach.below_since_s is not None:
+            breach.below_s += self._now_s - breach.below_since_s
+            breach.below_since_s = None
 
     def _leave(self, breach: _Breach, how: str) -> None:
         """Record the end of a breach."""
@@ -236,25 +253,29 @@ class KeepClear:
         self._follows = False
 
     def finish(self) -> None:
-        """Record the end of the breaches that last until the end of the run."""
+        """Record the end of breaches and of times below the margin at the end of the run."""
         for breach in self._breaches:
+            self._end_below(breach)
             if breach.began_s is not None:
                 self._leave(breach, "still in")
 
-    def summary(self) -> dict[str, dict[str, float | None]]:
+    def summary(self) -> dict[str, dict[str, Any]]:
         """Return a dictionary with the smallest distance and the breaches of each structure.
 
         The keys are the names of the structures. The values of a structure are the smallest
-        distance [mm], the largest depth [mm] and total duration [s] of the breaches, and the time
-        of the first breach [s]. If a margin is set, the values include the margin [mm] and the
-        first time at which the distance was below the margin [s].
+        distance [mm], the first time of this distance [s], the position of the tool's tip at this
+        time [mm], the largest depth [mm] and total duration [s] of the breaches, and the time of
+        the first breach [s]. If a margin is set, the values include the margin [mm], the first time
+        at which the distance was below the margin [s], and the total time below the margin [s].
         """
-        found = dict[str, dict[str, float | None]]()
+        found = dict[str, dict[str, Any]]()
         for breach in self._breaches:
             if breach.least_m == inf:
                 continue
             found[breach.name] = {
                 "least_distance_mm": 1e3 * breach.least_m,
+                "least_distance_at_s": breach.least_at_s,
+                "least_distance_tip_mm": [1e3 * each for each in breach.least_tip_m],
                 "breach_depth_mm": 1e3 * breach.deepest_m,
                 "breach_s": breach.lasted_s,
                 "first_breach_s": breach.first_s,
@@ -263,6 +284,7 @@ class KeepClear:
                 found[breach.name] |= {
                     "margin_mm": 1e3 * self._margin_m,
                     "first_below_margin_s": breach.first_below_s,
+                    "below_margin_s": breach.below_s,
                 }
         return found
 

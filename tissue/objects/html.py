@@ -108,6 +108,7 @@ def figures_of(summary: Summary) -> dict[str, float]:
         return {}
     tick = summary["tick_us"]
     removed = summary["removed_mm3"] if summary["cuts"] else {}
+    rise = summary.get("largest_rise")
     return {
         "simulated_s": summary["simulated_s"],
         **{name: summary[load][figure] for name, (load, figure) in BANDED.items()},
@@ -121,6 +122,13 @@ def figures_of(summary: Summary) -> dict[str, float]:
             f"least_distance_{name}_mm": each["least_distance_mm"]
             for name, each in summary.get("keep_clear", {}).items()
         },
+        # Only a run with a margin has these times.
+        **{
+            f"below_margin_{name}_s": each["below_margin_s"]
+            for name, each in summary.get("keep_clear", {}).items()
+            if "below_margin_s" in each
+        },
+        **({f"largest_rise_{rise['tissue']}_K": rise["rise_K"]} if rise else {}),
         # Forces and distances of the run do not count after this time.
         **({"left_region_s": summary["left_region_s"]} if "left_region_s" in summary else {}),
         "events": len(summary["events"]),

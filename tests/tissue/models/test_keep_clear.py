@@ -80,7 +80,16 @@ def test_the_result_table_begins_with_the_breach_and_has_the_simulated_volume(ru
     rows = dict(run_rows(run.summary))
     found = run.summary["keep_clear"]["canal"]
     depth, first_s = found["breach_depth_mm"], found["first_breach_s"]
-    text = f"breached, {depth:.2g} mm deep, first at {first_s:.3f} s"
+    row = int(run.trace["distance_canal_mm"].argmin())
+    tip_mm = run.trace.vectors("tool", "mm")[row]
+    time_s = run.trace["time_s"][row]
+    assert found["least_distance_at_s"] == pytest.approx(time_s)
+    assert found["least_distance_tip_mm"] == pytest.approx(tip_mm.tolist())
+    x, y, z = (f"{round(each, 3) + 0.0:g}" for each in tip_mm)
+    text = (
+        f"breached, {depth:.2g} mm deep, first at {first_s:.3f} s, deepest at {time_s:.3f} s, "
+        f"tip at ({x}, {y}, {z}) mm"
+    )
     assert next(iter(rows.items())) == ("smallest distance to canal", text)
     (layer,) = run.summary["start_mm3"]
     removed = run.summary["removed_mm3"][layer]
@@ -111,11 +120,18 @@ def test_an_event_and_a_row_state_the_first_time_within_the_margin(tmp_path, run
     assert (found["margin_mm"], found["first_below_margin_s"]) == (0.5, pytest.approx(time_s))
     row = dict(run_rows(closer.summary))["smallest distance to canal"]
     assert row == dict(run_rows(run.summary))["smallest distance to canal"]
+    is_closer = run.trace["distance_canal_mm"] < 0.5
+    assert found["below_margin_s"] == pytest.approx(1e-3 * is_closer.sum(), abs=1e-9)
     unbroken = found | {"first_breach_s": None, "least_distance_mm": 0.2}
+    unbroken |= {"least_distance_at_s": 1.2346, "least_distance_tip_mm": [-1e-6, 0.25, -3.0]}
     rows = dict(run_rows(closer.summary | {"keep_clear": {"canal": unbroken}}))
-    assert rows["smallest distance to canal"] == (
-        f"0.200 mm, closer than the margin of 0.5 mm from {time_s:.3f} s"
-    )
+    end = f", closer than the margin of 0.5 mm from {time_s:.3f} s"
+    where = " at 1.235 s, tip at (0, 0.25, -3) mm"
+    assert rows["smallest distance to canal"] == f"0.200 mm{where}{end}"
+    # runs of earlier versions
+    del unbroken["least_distance_at_s"], unbroken["least_distance_tip_mm"]
+    rows = dict(run_rows(closer.summary | {"keep_clear": {"canal": unbroken}}))
+    assert rows["smallest distance to canal"] == f"0.200 mm{end}"
     assert "margin_mm" not in run.summary["keep_clear"]["canal"]
 
 
@@ -124,6 +140,7 @@ def test_a_tool_that_stays_away_keeps_the_margin(tmp_path):
     summary = tissue.simulate(scene_in(tmp_path, overrides=changes)).summary
     assert summary["events"] == []
     assert summary["keep_clear"]["canal"]["first_below_margin_s"] is None
+    assert summary["keep_clear"]["canal"]["below_margin_s"] == 0.0
     row = dict(run_rows(summary))["smallest distance to canal"]
     assert row.endswith(" mm, margin of 0.5 mm kept")
 

@@ -165,7 +165,13 @@ def test_figures_have_distances_and_intervals():
         "events": [],
         "missed_deadlines": 0,
     }
-    assert figures_of(summary)["least_distance_canal_mm"] == 6.13
+    found = figures_of(summary)
+    assert found["least_distance_canal_mm"] == 6.13
+    assert not [name for name in found if name.startswith(("below_margin", "largest_rise"))]
+    kept = {"canal": {"least_distance_mm": 6.13, "below_margin_s": 0.25}}
+    rise = {"tissue": "pulp", "rise_K": 5.7, "time_s": 0.9, "rising_at_end": True}
+    found = figures_of(summary | {"keep_clear": kept, "largest_rise": rise})
+    assert found["below_margin_canal_s"] == 0.25 and found["largest_rise_pulp_K"] == 5.7
     assert intervals_of(summary) == {}
     band = {"force_N": quantiles, "torque_Nm": quantiles}
     assert intervals_of(summary | {"band": band})["mean_torque_Nm"] == (1.0, 3.0)

@@ -73,8 +73,12 @@ def test_a_tool_that_leaves_the_region_is_reported_once_and_breaks_or_breaches_n
     left_s = reported_s(run, "left the simulated region")
     assert run.summary["left_region_s"] == left_s and f"up to {left_s:.3f} s" in drawn
     row = dict(run_rows(run.summary))["smallest distance to plate"]
+    found = run.summary["keep_clear"]["plate"]
+    x, y, z = (f"{round(each, 3) + 0.0:g}" for each in found["least_distance_tip_mm"])
+    assert found["least_distance_at_s"] <= left_s
     assert row == (
-        f"{least_mm:.3f} mm (up to {left_s:.3f} s; the tool then left the simulated region)"
+        f"{least_mm:.3f} mm at {found['least_distance_at_s']:.3f} s, tip at ({x}, {y}, {z}) mm "
+        f"(up to {left_s:.3f} s; the tool then left the simulated region)"
     )
     (layer,) = run.summary["removed_mm3"]
     removed = dict(run_rows(run.summary))[f"removed {layer}"]

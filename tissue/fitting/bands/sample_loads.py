@@ -207,7 +207,8 @@ def figures_of(run: Run) -> dict[Figure, float]:
         found |= {
             ("keep_clear", structure, name): value
             for name, value in figures.items()
-            if value is not None
+            # a position, such as that of the smallest distance, is a list
+            if isinstance(value, float)
         }
     found |= {("bone_heat", name): value for name, value in summary.get("bone_heat", {}).items()}
     for name in run.parts.tissue.measure_names:

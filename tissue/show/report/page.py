@@ -117,9 +117,16 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
 
 def _distance_text(kept: Summary) -> str:
     """Return a text with the breach of a structure, or the smallest distance without a breach."""
+    where = ""
+    # Runs of earlier versions have neither time nor place of the smallest distance.
+    if "least_distance_tip_mm" in kept:
+        # 0.0 turns a rounded -0.0 into 0
+        tip = ", ".join(f"{round(each, 3) + 0.0:g}" for each in kept["least_distance_tip_mm"])
+        where = f" at {kept['least_distance_at_s']:.3f} s, tip at ({tip}) mm"
     if (breach_s := kept.get("first_breach_s")) is not None:
-        return f"breached, {kept['breach_depth_mm']:.2g} mm deep, first at {breach_s:.3f} s"
-    distance = f"{kept['least_distance_mm']:.3f} mm"
+        breach = f"breached, {kept['breach_depth_mm']:.2g} mm deep, first at {breach_s:.3f} s"
+        return f"{breach}, deepest{where}" if where else breach
+    distance = f"{kept['least_distance_mm']:.3f} mm{where}"
     if "margin_mm" not in kept:
         return distance
     if (first_s := kept["first_below_margin_s"]) is None:
