@@ -2,18 +2,20 @@
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from meshes.base.arrays import Array, Flags
+from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError, require_positive
 from tissue.evaluation.same_task import (
     AssessedRun,
     coupling_notes,
+    is_event_of,
     require_same_task,
     scene_notes,
+    uncommon_parts,
 )
 from tissue.evaluation.statistics.metrics import (
     aligned_rows,
@@ -65,7 +67,7 @@ class NoSharedContactError(InputError):
 
 @dataclass(frozen=True)
 class Breach:
-    """Time span in which a quantity of the trainee's run is above its limit."""
+    """Time span in which a quantity of the trainee's run is beyond its limit."""
 
     what: str
     start_s: float
@@ -77,9 +79,11 @@ class Breach:
 
     @property
     def sentence(self) -> str:
-        """Times of the breach, its limit and the largest value, in words."""
+        """Times of the breach, its limit and the worst value, in words."""
+        # the worst value lies beyond the limit
+        side = "above" if self.worst > self.limit else "below"
         return (
-            f"{self.what} above {self.limit:.3g} {self.unit} from {self.start_s:.3f} to "
+            f"{self.what} {side} {self.limit:.3g} {self.unit} from {self.start_s:.3f} to "
             f"{self.end_s:.3f} s, "
             f"at worst {self.worst:.3g} {self.unit} at {self.worst_at_s:.3f} s"
         )
@@ -103,6 +107,8 @@ class Quantity:
         reference run.
     limited
         True for ticks in which the limit applies, shape (ticks,). None if all ticks have the limit.
+    is_minimum
+        True if the limit is the smallest allowed value instead of the largest.
     """
 
     what: str
@@ -111,21 +117,24 @@ class Quantity:
     limit: float
     reference: Array | None = None
     limited: Flags | None = None
+    is_minimum: bool = False
 
     def breaches(self, time_s: Array) -> list[Breach]:
-        """Return the time spans in which the values are above the limit.
+        """Return the time spans in which the values are beyond the limit.
 
         Two spans are joined if the time between them is at most `GAP_S`.
         """
-        is_above = self.values > self.limit
+        sign = -1.0 if self.is_minimum else 1.0
+        signed = sign * self.values
+        is_beyond = signed > sign * self.limit
         if self.limited is not None:
-            is_above = is_above & self.limited
-        above = np.flatnonzero(is_above)
+            is_beyond = is_beyond & self.limited
+        beyond = np.flatnonzero(is_beyond)
         found = []
-        for span in np.split(above, np.flatnonzero(np.diff(time_s[above]) > GAP_S) + 1):
+        for span in np.split(beyond, np.flatnonzero(np.diff(time_s[beyond]) > GAP_S) + 1):
             # without any breach, the only span is empty
             if len(span):
-                worst = span[self.values[span].argmax()]
+                worst = span[signed[span].argmax()]
                 start, end, at = time_s[[span[0], span[-1], worst]].tolist()
                 size = float(self.values[worst])
                 found.append(Breach(self.what, start, end, size, at, self.limit, self.unit))
@@ -161,6 +170,9 @@ class Assessment:
         `figures`.
     unscored
         Reason why the run has no score. Empty if the run has a score.
+    clearances
+        Distances [mm] of the trainee's tool from the protected structures, keyed by structure. The
+        limit is `keep_clear.margin_mm` of the scene of the reference run. Empty without a margin.
     """
 
     steadiness: Steadiness | None
@@ -174,6 +186,7 @@ class Assessment:
     notes: tuple[str, ...] = ()
     unscored: str = ""
     missing: tuple[tuple[float, str], ...] = ()
+    clearances: Mapping[str, Quantity] = field(default_factory=dict)
 
     @property
     def breached(self) -> tuple[str, ...]:
@@ -189,7 +202,7 @@ def assess(
     deviation_limit_mm: float = 1.0,
     overshoot_limit_mm: float = 0.5,
 ) -> Assessment:
-    """Compare a run with a reference run of the same scene.
+    """Compare a run with a reference run of the same task.
 
     The runs are aligned by place, not by time. For each tick of the trainee's run, dynamic time
     warping (Sakoe and Chiba 1978) of the two tool paths finds the corresponding tick of the
@@ -198,6 +211,10 @@ def assess(
     The score rates the steadiness of the hand (see `tissue.evaluation.steadiness`). Distances from
     the path and forces do not affect the score, because they depend more on the device than on the
     hand.
+
+    If the scene of the reference run has `keep_clear.margin_mm`, this margin is a limit of the
+    distance from each protected structure. The limit does not apply after the trainee's tool left
+    the simulated region.
 
     Parameters
     ----------
@@ -267,7 +284,9 @@ def assess(
         ),
     )
     time = mine["time_s"]
-    breaches = [each for one in quantities for each in one.breaches(time)]
+    clearances = _clearances(trainee, reference, np.where(followed, rows, -1))
+    limited = (*quantities, *clearances.values())
+    breaches = [each for one in limited for each in one.breaches(time)]
     kept = _keep_clear(trainee.summary, mine)
     others = _keep_clear(reference.summary, theirs)
     worst = int(deviation.argmax())
@@ -306,16 +325,55 @@ def assess(
         tuple(_notes(trainee, reference)),
         unscored,
         _events_not_in(trainee, reference),
+        clearances,
     )
 
 
+def _clearances(trainee: AssessedRun, reference: AssessedRun, rows: Ints) -> dict[str, Quantity]:
+    """Return the distances of the trainee's tool from the protected structures, with their margin.
+
+    `rows` holds the corresponding tick of the reference run for each tick of the trainee's run, or
+    -1. The result is empty if the reference has no margin.
+    """
+    wanted = None if reference.scene is None else reference.scene.keep_clear
+    mine = _trace(trainee, "run")
+    theirs = _trace(reference, "reference")
+    if wanted is None or wanted.margin_mm == 0.0:
+        return {}
+    # Distances are not valid after the tool left the simulated region.
+    is_valid = mine["time_s"] <= trainee.summary.get("left_region_s", np.inf)
+    found = {}
+    for name in (*wanted.names, *wanted.files):
+        column = f"distance_{name}_mm"
+        if column not in mine.columns:
+            continue
+        there = None
+        if column in theirs.columns:
+            there = np.where(rows >= 0, theirs[column][rows], np.nan)
+        found[name] = Quantity(
+            f"distance to {name}",
+            "mm",
+            mine[column],
+            wanted.margin_mm,
+            there,
+            is_valid,
+            is_minimum=True,
+        )
+    return found
+
+
 def _events_not_in(other: AssessedRun, run: AssessedRun) -> tuple[tuple[float, str], ...]:
-    """Return the events of a run that the other run does not have, as times and sentences."""
+    """Return the events of a run that the other run does not have, as times and sentences.
+
+    Events of a part that only one of the scenes computes, such as heat, are left out.
+    """
+    scenes = [each.scene for each in (run, other) if each.scene is not None]
+    uncommon = uncommon_parts(scenes)
     known = {without_numbers(each["what"]) for each in other.summary.get("events", ())}
     return tuple(
         (each["time_s"], each["what"])
         for each in run.summary.get("events", ())
-        if without_numbers(each["what"]) not in known
+        if without_numbers(each["what"]) not in known and not is_event_of(each["what"], uncommon)
     )
 
 

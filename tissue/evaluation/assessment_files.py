@@ -54,6 +54,7 @@ def assessment_lines(found: Assessment) -> list[str]:
         f"time from first to last contact: {time['trainee']:.2f} s against {time['reference']:.2f}",
         *(
             f"least distance to {name}: {each['trainee']:.3f} mm against {each['reference']:.3f}"
+            f"{_margin_text(found, name)}"
             for name, each in figures["least_distance_mm"].items()
         ),
         limits_line(found),
@@ -70,11 +71,21 @@ def assessment_lines(found: Assessment) -> list[str]:
 
 def limits_line(found: Assessment) -> str:
     """Return a line with the limits of an assessment."""
+    margins = "".join(
+        f", {each.what} at least {each.limit:.3g} mm" for each in found.clearances.values()
+    )
     return (
         f"limits: force {found.force.limit:.3g} N, distance from the path "
         f"{found.deviation.limit:.3g} mm, depth {found.depth.limit:.3g} mm from the first contact "
-        "of the reference"
+        f"of the reference{margins}"
     )
+
+
+def _margin_text(found: Assessment, structure: str) -> str:
+    """Return the margin of a structure in words; empty without a margin."""
+    if structure not in found.clearances:
+        return ""
+    return f" (margin {found.clearances[structure].limit:.3g} mm)"
 
 
 def _structure_lines(found: Assessment) -> list[str]:
@@ -143,6 +154,7 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
             "force_N": found.force.limit,
             "deviation_mm": found.deviation.limit,
             "depth_mm": found.depth.limit,
+            **{f"margin_{name}_mm": each.limit for name, each in found.clearances.items()},
         },
         "breaches": [asdict(each) for each in found.breaches],
         "notes": list(found.notes),
@@ -161,18 +173,22 @@ def draw_assessment(found: Assessment, path: Path) -> None:
     Time spans in which a quantity exceeds its limit are shaded. A line marks the first breach of
     each structure.
     """
-    # inches for three panels below each other; the margins are shares of the figure, with space
+    clearances = found.clearances.values()
+    quantities = (found.deviation, found.force, found.depth, *clearances)
+    # inches: 2.4 for each panel; the margins are shares of the figure of three panels, with space
     # for title and legend on top
-    chart = figure(9.0, 7.2)
-    panels = chart.subplots(3, 1, sharex=True)
-    chart.subplots_adjust(left=0.09, right=0.98, top=0.9, bottom=0.08, hspace=0.14)
+    larger = len(quantities) / 3.0
+    chart = figure(9.0, 7.2 * larger)
+    panels = chart.subplots(len(quantities), 1, sharex=True)
+    top = 1.0 - 0.1 / larger
+    bottom = 0.08 / larger
+    chart.subplots_adjust(left=0.09, right=0.98, top=top, bottom=bottom, hspace=0.14)
     figures = found.figures
     time = found.time_s
     least = 0.002 * (time[-1] - time[0])  # a breach of a tick or two must still be seen
     labels = ("distance from\nthe path / mm", "force / N", "depth / mm")
-    for axes, label, each in zip(
-        panels, labels, (found.deviation, found.force, found.depth), strict=True
-    ):
+    labels += tuple(f"{each.what} / mm" for each in clearances)
+    for axes, label, each in zip(panels, labels, quantities, strict=True):
         for breach in (breach for breach in found.breaches if breach.what == each.what):
             end = max(breach.end_s, breach.start_s + least)
             axes.axvspan(breach.start_s, end, color=SHADE, alpha=0.35)
@@ -202,14 +218,14 @@ def draw_assessment(found: Assessment, path: Path) -> None:
         low = max(min(0.0, float(np.nanmin(drawn))), -high)
         # 8 % of free space keep the limit's line off the frame
         axes.set_ylim(low, high + 0.08 * (high - low))
-    panels[2].set(xlabel="time / s", xlim=(time[0], time[-1]))
+    panels[-1].set(xlabel="time / s", xlim=(time[0], time[-1]))
     chart.legend(
         *panels[1].get_legend_handles_labels(),
         loc="upper right",
-        bbox_to_anchor=(0.985, 0.945),
+        bbox_to_anchor=(0.985, 1.0 - 0.055 / larger),
         ncols=4,
         frameon=False,
     )
     title = f"{figures['scene']}: a trainee against the reference, {_mistakes(found)}"
-    chart.text(0.09, 0.955, title, size=10)
+    chart.text(0.09, 1.0 - 0.045 / larger, title, size=10)
     save(chart, path)

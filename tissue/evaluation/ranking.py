@@ -152,6 +152,14 @@ class Ranking:
         kept = (name for each in attempts for name in each.found.figures["keep_clear"])
         return list(dict.fromkeys(kept))
 
+    @property
+    def margins(self) -> list[str]:
+        """Names of the protected structures that have a margin as a limit."""
+        people = (*self.people, *self.unscored)
+        attempts = (attempt for person in people for attempt in person.attempts)
+        names = (name for attempt in attempts for name in attempt.found.clearances)
+        return list(dict.fromkeys(names))
+
 
 def is_run(folder: Path) -> bool:
     """Return whether a folder is the folder of a run."""
@@ -322,7 +330,7 @@ def _limit_lines(found: Ranking) -> list[str]:
     # All runs have the limits of the same reference run.
     some = next(iter(by_trainee.values()))[0]
     lines = [limits_line(some)]
-    for quantity in (some.force, some.deviation, some.depth):
+    for quantity in (some.force, some.deviation, some.depth, *some.clearances.values()):
         names = []
         for name, assessed in by_trainee.items():
             over = sum(_intervals_over(each, quantity) > 0 for each in assessed)
@@ -330,12 +338,13 @@ def _limit_lines(found: Ranking) -> list[str]:
             if over:
                 names.append(name + share)
         if names:
-            lines.append(f"   {quantity.what} over the limit: {', '.join(names)}")
+            side = "below" if quantity.is_minimum else "over"
+            lines.append(f"   {quantity.what} {side} the limit: {', '.join(names)}")
     return lines
 
 
 def _intervals_over(found: Assessment, quantity: Quantity) -> int:
-    """Return the number of time spans in which a quantity was above its limit."""
+    """Return the number of time spans in which a quantity was beyond its limit."""
     return sum(breach.what == quantity.what for breach in found.breaches)
 
 
@@ -391,6 +400,10 @@ def _row(found: Ranking, place: int | None, person: Person, attempt: Attempt) ->
     for name, each in (("force", one.force), ("deviation", one.deviation), ("depth", one.depth)):
         row[f"{name}_limit_{each.unit}"] = round(each.limit, 4)
         row[f"intervals_over_{name}_limit"] = _intervals_over(one, each)
+    for name in found.margins:
+        margin = one.clearances.get(name)
+        row[f"margin_{name}_mm"] = margin and round(margin.limit, 4)
+        row[f"intervals_below_margin_{name}"] = margin and _intervals_over(one, margin)
     least = {
         f"least_distance_{name}_mm": round(attempt.least_mm(name), 4) for name in found.structures
     }

@@ -2,7 +2,7 @@
 
 import filecmp
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,7 +25,8 @@ MAY_DIFFER = frozenset(
 ) | {"keep_clear.margin_mm"}
 """Keys in the scene parts of `TASK` that may differ between runs of one task, with a note.
 
-The organ keys belong to the numerical method. The margin only triggers an event.
+The organ keys belong to the numerical method. The margin of the reference run is a limit for both
+runs.
 """
 FREE = ("name", "description", "seed", "device", "output", "fidelity")
 """Scene keys that may differ between a trainee's run and the reference run without a note.
@@ -38,6 +39,16 @@ FREE_TABLES = ("hands", "devices", "tooth")
 
 These are the constants of the user and the device, and constants for stress and heat that do not
 change the force on the tool. All other constants of the tissue and the tool must be equal.
+"""
+
+EVENTS_OF = {
+    "heat": ("K warmer than at the start", "the thermal dose of bone passes"),
+    "stress": ("stress", "hang on nothing", "held as its root"),
+    "keep_clear": ("came closer than", "is to be kept clear of", " mm deep, "),
+}
+"""Phrases of the events of each part of a scene that may be left out, keyed by the scene key.
+
+Runs without the part cannot have these events.
 """
 
 
@@ -72,10 +83,15 @@ class AssessedRun:
 
 
 def require_same_task(trainee: AssessedRun, reference: AssessedRun) -> None:
-    """Check that two runs have the same scene name, and the same tissue, tool and material."""
-    names = [str(each.summary.get("scene")) for each in (trainee, reference)]
-    differences = [("scene", *names)] if names[0] != names[1] else []
-    if trainee.scene is not None and reference.scene is not None:
+    """Check that two runs have the same tissue, tool and material.
+
+    The names of the scenes are compared only if the scene of a run is not known.
+    """
+    differences: list[tuple[str, str, str]] = []
+    if trainee.scene is None or reference.scene is None:
+        first, second = (str(each.summary.get("scene")) for each in (trainee, reference))
+        differences += [("scene", first, second)] if first != second else []
+    else:
         differences += [
             (key, shown(mine), shown(theirs))
             for key, mine, theirs in _differences(trainee.scene, reference.scene)
@@ -142,10 +158,29 @@ def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]
     if trainee is None or reference is None:
         yield "a run has no scene.toml: whether both are of one tissue and tool is not known"
         return
+    # Another name may stand for another exercise on the same tissue, although it is no physics.
+    if trainee.name != reference.name:
+        yield f"the scenes have other names: trainee {trainee.name}, reference {reference.name}"
     for key, mine, theirs in _differences(trainee, reference):
         part = key.partition(".")[0]
         if part not in FREE and part != "materials" and (part not in TASK or key in MAY_DIFFER):
             yield f"the scenes differ in {key}: trainee {shown(mine)}, reference {shown(theirs)}"
+
+
+def uncommon_parts(scenes: Iterable[Scene]) -> tuple[str, ...]:
+    """Return the keys of `EVENTS_OF` whose part some of the scenes have, but not all."""
+    found = []
+    scenes = tuple(scenes)
+    for key in EVENTS_OF:
+        has_part = {bool(getattr(scene, key)) for scene in scenes}
+        if len(has_part) > 1:
+            found.append(key)
+    return tuple(found)
+
+
+def is_event_of(what: str, parts: Iterable[str]) -> bool:
+    """Return whether an event belongs to one of the parts, which are keys of `EVENTS_OF`."""
+    return any(phrase in what for part in parts for phrase in EVENTS_OF[part])
 
 
 def scene_differences(*scenes: Scene) -> dict[str, tuple[object, ...]]:

@@ -12,7 +12,7 @@ from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import unknown_name
 from meshes.base.whole_file import write_text
 from tissue.evaluation.assessment import path_note
-from tissue.evaluation.same_task import scene_differences
+from tissue.evaluation.same_task import is_event_of, scene_differences, uncommon_parts
 from tissue.objects.html import figures_of, figures_of_trace, table_html
 from tissue.objects.run import Run
 from tissue.objects.trace import needed
@@ -85,7 +85,7 @@ class Comparison:
         self.scene_differences = {
             key: values for key, values in differences.items() if key not in DESCRIBING
         }
-        self.notes = list(_notes(self.runs, self.figures))
+        self.notes = [*_notes(self.runs, self.figures), *self._leave_out_events()]
         self._legend = legend
 
     def rows(self) -> tuple[list[str], list[tuple[str, list[float | None]]]]:
@@ -182,6 +182,23 @@ class Comparison:
         ]
         cuts = all(isinstance(run.scene.tool, Tool) for run in self.runs.values())
         return overlay(curves, over=over, about_axis=cuts)
+
+    def _leave_out_events(self) -> Iterator[str]:
+        """Subtract events of parts that not all runs compute, and yield a note on them."""
+        uncommon = uncommon_parts(run.scene for run in self.runs.values())
+        left_out = set[str]()
+        for name, run in self.runs.items():
+            # a run that ended early has no number of events
+            if "events" not in self.figures[name]:
+                continue
+            for event in run.summary["events"]:
+                parts = [part for part in uncommon if is_event_of(event["what"], [part])]
+                left_out.update(parts)
+                if parts:
+                    self.figures[name]["events"] -= 1
+        if left_out:
+            parts = " and ".join(sorted(left_out))
+            yield f"the number of events leaves out events of {parts}, which not all runs compute"
 
     def _labels(self) -> list[str]:
         """Return one text for each run, for the legend of the plot.

@@ -215,6 +215,73 @@ def test_runs_of_two_tasks_are_not_assessed(tmp_path, change):
     assert found.steadiness is None and "no device whose constants are known" in found.unscored
 
 
+def test_the_name_of_the_scene_may_differ(tmp_path):
+    trainee = of_scene(saved(tmp_path / "t", reach(1.0), scene="deep"), name="deep")
+    reference = of_scene(saved(tmp_path / "r", reach(1.0)))
+    (note,) = assess(trainee, reference).notes
+    assert note == "the scenes have other names: trainee deep, reference milling"
+    # without the scene of a run, only the name is known
+    trainee.scene = None
+    with pytest.raises(InputError, match="got scene = deep and block"):
+        assess(trainee, reference)
+
+
+def test_events_of_heat_are_compared_only_if_both_runs_compute_it(tmp_path):
+    warm = "the pulp is 5.5 K warmer than at the start"
+    events = [(0.5, warm), (0.6, "the pulp is exposed")]
+    trainee = of_scene(saved(tmp_path / "t", reach(1.0)))
+    reference = of_scene(saved(tmp_path / "r", reach(1.0), events=events), heat=True)
+    assert assess(trainee, reference).missing == ((0.6, "the pulp is exposed"),)
+    assert assess(reference, trainee).events == ((0.6, "the pulp is exposed"),)
+    cold = of_scene(trainee, heat=True)
+    assert assess(cold, reference).missing == tuple(events)
+
+
+def near(run, distance_mm):
+    """Give a run a distance to a nerve in every tick."""
+    rows = np.column_stack([run.trace.rows, distance_mm])
+    run.trace = Table((*run.trace.columns, "distance_nerve_mm"), rows)
+    return clear(run, float(distance_mm.min()), name="nerve")
+
+
+def test_the_margin_of_the_reference_is_a_limit(tmp_path, monkeypatch):
+    path = shaken(reach(1.5), 0.1)
+    # below 1 mm from 0.4805 to 0.7195 s, 0.4 mm at 0.6 s
+    time_s = np.arange(len(path)) * TICK_S
+    distance_mm = np.minimum(3.0, 0.4 + 5.02 * np.abs(time_s - 0.6))
+    kept = {"keep_clear__names": ["nerve"]}
+    margin = kept | {"keep_clear__margin_mm": 1.0}
+    people = tmp_path / "people"
+    trainee = near(scored(people, saved(people / "ben", path), **kept), distance_mm)
+    reference = near(scored(tmp_path, saved(tmp_path / "r", path), **margin), distance_mm + 1.0)
+    found = assess(trainee, reference)
+    (breach,) = found.breaches
+    assert breach.sentence == (
+        "distance to nerve below 1 mm from 0.481 to 0.719 s, at worst 0.4 mm at 0.600 s"
+    )
+    lines = assessment_lines(found)
+    assert "least distance to nerve: 0.400 mm against 1.400 (margin 1 mm)" in lines
+    assert f"limit exceeded: {breach.sentence}" in lines
+    (limits,) = (line for line in lines if line.startswith("limits: "))
+    assert limits.endswith(", distance to nerve at least 1 mm")
+    charts = []
+    monkeypatch.setattr(assessment_files, "save", lambda chart, path: charts.append(chart))
+    assessment_files.draw_assessment(found, tmp_path / "a.png")
+    assert charts[0].axes[3].get_ylabel() == "distance to nerve / mm"
+    ranked = rank(people, reference, lambda folder: trainee)
+    assert "   distance to nerve below the limit: ben" in ranking_lines(ranked)
+    write_ranking(ranked, tmp_path / "out", overwrite=False)
+    header, row = (tmp_path / "out" / "ranking.csv").read_text().splitlines()
+    written = dict(zip(header.split(","), row.split(","), strict=True))
+    assert (written["margin_nerve_mm"], written["intervals_below_margin_nerve"]) == ("1.0", "1")
+    # Distances are not valid after the tool left the simulated region.
+    trainee.summary["left_region_s"] = 0.55
+    (breach,) = assess(trainee, reference).breaches
+    assert (breach.end_s, breach.worst) == (0.55, pytest.approx(0.651))
+    # The margin of the trainee is no limit.
+    assert not assess(reference, trainee).clearances
+
+
 def test_times_of_saved_fields_may_differ(tmp_path):
     trainee = saved(tmp_path / "t", reach(1.0))
     reference = saved(tmp_path / "r", reach(1.0))
@@ -275,12 +342,12 @@ def shaken(path, size_mm):
     return moved
 
 
-def clear(run, least_mm):
+def clear(run, least_mm, *, name="pulp"):
     """Give a run a distance to a structure; a negative distance is a breach."""
     depth = max(0.0, -least_mm)
     first = 0.7 if depth else None
     run.summary["keep_clear"] = {
-        "pulp": {
+        name: {
             "least_distance_mm": least_mm,
             "breach_depth_mm": depth,
             "breach_s": 0.1 * bool(depth),

@@ -63,6 +63,22 @@ def test_equal_runs_differ_in_nothing(run, back):
     assert all(apart == 0.0 for _, (_, _, apart, _) in found.rows()[1])
 
 
+def test_events_of_parts_that_one_run_leaves_out_are_not_counted(run, tmp_path):
+    shutil.copytree(run.path, tmp_path / "hot")
+    summary = json.loads((tmp_path / "hot/summary.json").read_text())
+    events = [*summary["events"], {"time_s": 0.1, "what": "the thermal dose of bone passes 16 min"}]
+    (tmp_path / "hot/summary.json").write_text(json.dumps(summary | {"events": events}))
+    scene = (tmp_path / "hot/scene.toml").read_text()
+    (tmp_path / "hot/scene.toml").write_text(f"heat = true\n{scene.replace('heat = false', '')}")
+    found = tissue.compare(run, tmp_path / "hot")
+    assert [each["events"] for each in found.figures.values()] == [len(summary["events"])] * 2
+    note = "the number of events leaves out events of heat, which not all runs compute"
+    assert found.notes[-1] == note
+    both = tissue.compare(tmp_path / "hot", tmp_path / "hot")
+    assert [each["events"] for each in both.figures.values()] == [len(events)] * 2
+    assert note not in both.notes
+
+
 def pressing(force_N, *, speed_mm_s):
     """Return a trace of a tool that moves down against a force that depends on its depth alone."""
     layout = TraceLayout.of(("bone",))
