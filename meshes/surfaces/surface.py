@@ -4,6 +4,7 @@ A surface that does not enclose a solid raises an error.
 """
 
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,16 @@ _RESOLVED_MM = 0.01
 """Rounding error [mm] above which a warning is given: a tenth of the finest voxel size."""
 _TYPICAL_BONE_MM = 140.0
 """Longest side [mm] that a bone gets from a suggested scale, equal to the size of a scapula."""
+
+
+class UnitError(InputError):
+    """Error for a surface whose size does not fit its unit.
+
+    `suggested_mm` is the longest side [mm] that the surface gets from the scale in the message.
+    """
+
+    # The constructor keeps the arguments of the base class, because errors of workers are pickled.
+    suggested_mm: float = inf
 
 
 @dataclass(frozen=True)
@@ -340,12 +351,14 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
             "anatomy.scale_mm", scale_mm, "use 1 for millimetres, 1000 for metres"
         )
         if not _SMALLEST_MM <= longest * scale <= _LARGEST_MM:
-            raise InputError(
+            error = UnitError(
                 "anatomy.scale_mm",
                 "make the longest side 1 mm to 1 m",
                 f"{scale:g}, which makes {source} {longest * scale:g} mm long",
                 f"use about {suggestion:g}",
             )
+            error.suggested_mm = suggestion * longest
+            raise error
         size = f"{longest * scale:.4g} mm"
         return scale, f"{scale:g} mm per unit, as given: the longest side is {size}"
     others = [
@@ -354,7 +367,7 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
         if _USUAL_BONE_MM[0] <= factor * longest <= _USUAL_BONE_MM[1]
     ]
     if not plain:
-        raise InputError(
+        error = UnitError(
             "anatomy.scale_mm",
             "be given if the unit is unclear",
             (
@@ -363,6 +376,8 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
             ),
             "; ".join([f"use millimetres per unit, for example {suggestion:g}", *others]),
         )
+        error.suggested_mm = suggestion * longest
+        raise error
     name, scale = plain[0]
     guess = f"{name}, since the longest side {longest:.3g} would be {longest * scale:.3g} mm"
     if name == "millimetres" and longest < _USUAL_BONE_MM[0] and others:

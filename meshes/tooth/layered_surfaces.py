@@ -21,7 +21,7 @@ from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
 from meshes.surfaces.repair import merge_vertices, triangle_areas
 from meshes.surfaces.site import Site, sample_surface
-from meshes.surfaces.surface import Surface, read_surface
+from meshes.surfaces.surface import Surface, UnitError, read_surface
 from meshes.tooth.layer_contact import (
     Lattice,
     measure_contact,
@@ -30,6 +30,7 @@ from meshes.tooth.layer_contact import (
 )
 from meshes.tooth.layers import (
     BONE,
+    LARGEST_MM,
     LAYER_DENSITY_KG_M3,
     PRIORITY,
     TOOTH_LAYERS,
@@ -231,7 +232,17 @@ def _read(layer: str, path: str | Path, scale_mm: float | None) -> Surface:
     with names_of_caller(
         {word: f"{layer} {word}" for word in ("file", "surface", "vertices", "faces", "cells")}
     ):
-        return read_surface(path, scale_mm=scale_mm)
+        try:
+            return read_surface(path, scale_mm=scale_mm)
+        except UnitError as refusal:
+            if refusal.suggested_mm <= LARGEST_MM:
+                raise
+            # The suggested scale would give the size of a larger bone.
+            refusal.remedy = (
+                f"the file or its unit may be wrong: use a file of the {layer} in the unit of the "
+                "other layers, or give the millimetres per unit of all files"
+            )
+            raise
 
 
 def layered_anatomy(
@@ -307,7 +318,7 @@ def layered_anatomy(
         require_pulp_within(samples["pulp"], placed["dentin"], samples["dentin"])
     gap, fit = measure_contact(placed)
     solid = _solid(placed, samples, gap, margin)
-    notes = _notes(surfaces, note, socket_mm) | {"priority": " > ".join(placed)} | fit
+    notes = _notes(surfaces, note, socket_mm) | {"order of layers": " > ".join(placed)} | fit
     placement = Placement(1e3 * centre, rotation, scale)
     points = np.concatenate(list(samples.values()))
     high = np.maximum(points.max(axis=0), samples.get("ligament", points).max(axis=0) + margin)

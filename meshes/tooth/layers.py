@@ -59,11 +59,11 @@ _INFECTED_KG_M3 = 1300.0
 _POINTS_AT_ONCE = 1 << 17
 """Number of points evaluated at once. The coordinates take 3 MB, which fits in the cache."""
 _SMALLEST_MM = 5.0
-_LARGEST_MM = 40.0
+LARGEST_MM = 40.0
 _TYPICAL_MM = 18.0
 """Longest side [mm] of a typical molar.
 
-The limits of a valid longest side, `_SMALLEST_MM` and `_LARGEST_MM`, correspond to a crown without
+The limits of a valid longest side, `_SMALLEST_MM` and `LARGEST_MM`, correspond to a crown without
 roots and to a canine with its root.
 """
 
@@ -129,11 +129,11 @@ def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: floa
         Longest side [mm] divided by the user's value. This is the number of voxels along the side,
         or the length of the side in units of the file.
     """
-    if _SMALLEST_MM <= size_mm <= _LARGEST_MM:
+    if _SMALLEST_MM <= size_mm <= LARGEST_MM:
         return
     raise InputError(
         argument,
-        f"make the tooth {_SMALLEST_MM:g} to {_LARGEST_MM:g} mm long",
+        f"make the tooth {_SMALLEST_MM:g} to {LARGEST_MM:g} mm long",
         f"{given}, which makes it {size_mm:.3g} mm",
         f"use the scanner's value, about {_TYPICAL_MM / per_unit:.1g}",
     )

@@ -210,8 +210,8 @@ def _require_motion(position_m: Array, novice: HandParameters, scored: int | Non
             f"the device moves at {least_mm_s:.1f} mm/s or faster for "
             f"{100.0 * np.mean(is_fast):.0f} % of the scored "
             f"{len(speeds_mm_s) * TICK_S:.2f} s. A score needs 25 %, because at lower speeds "
-            "friction hides the tremor. Move faster, or set a smaller "
-            f"coupling.motion_scale, with which the device moves farther{shorter}"
+            "friction hides the tremor. Set a smaller coupling.motion_scale, with which at the "
+            f"same speed of the tool the device moves farther{shorter}"
         )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from meshes.base.errors import InputError
 from meshes.surfaces.surface import surface_from_triangles
 from meshes.tooth.layer_contact import inside_lattice
 from meshes.tooth.layered_surfaces import layered_anatomy, layered_surfaces
@@ -99,7 +100,20 @@ def test_balls_have_their_volumes_and_the_overlap_goes_by_priority(hollow):
     overlaps = dict(part.rsplit(" ", 2)[:2] for part in anatomy.notes["overlaps"].split(", "))
     assert float(overlaps["enamel and dentin"]) == pytest.approx(lens, rel=0.02)  # points of 0.1 mm
     assert ("pulp and dentin" in overlaps) == (not hollow)
-    assert anatomy.notes["gaps"] == "none" and anatomy.notes["priority"] == "pulp > enamel > dentin"
+    assert anatomy.notes["gaps"] == "none" and anatomy.notes["order of layers"] == "pulp > enamel > dentin"
+
+
+def test_a_layer_too_small_for_a_tooth_asks_for_its_file_instead_of_a_scale(tmp_path):
+    """The suggested scale of a bone would give a tooth of 140 mm."""
+    files = {}
+    for name, radius in (("enamel", 6.0), ("dentin", 5.0), ("pulp", 0.4)):
+        files[name] = tmp_path / f"{name}.stl"
+        ball(radius).export(files[name])
+    with pytest.raises(InputError, match="The file or its unit may be wrong: use .* the pulp in"):
+        layered_surfaces(files)
+    # 10 mm in millimetres is plausible
+    with pytest.raises(InputError, match="Use about 1$"):
+        layered_surfaces(files, scale_mm=1000.0)
 
 
 def test_gap_is_reported_and_filled():
