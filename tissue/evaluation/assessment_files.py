@@ -186,8 +186,8 @@ def draw_assessment(found: Assessment, path: Path) -> None:
     figures = found.figures
     time = found.time_s
     least = 0.002 * (time[-1] - time[0])  # a breach of a tick or two must still be seen
-    labels = ("distance from\nthe path / mm", "force / N", "depth / mm")
-    labels += tuple(f"{each.what} / mm" for each in clearances)
+    labels = ["distance from\nthe path / mm", "force / N", "depth / mm"]
+    labels += [f"{each.what} / mm" for each in clearances]
     for axes, label, each in zip(panels, labels, quantities, strict=True):
         for breach in (breach for breach in found.breaches if breach.what == each.what):
             end = max(breach.end_s, breach.start_s + least)

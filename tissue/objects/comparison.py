@@ -197,8 +197,8 @@ class Comparison:
                 if parts:
                     self.figures[name]["events"] -= 1
         if left_out:
-            parts = " and ".join(sorted(left_out))
-            yield f"the number of events leaves out events of {parts}, which not all runs compute"
+            named = " and ".join(sorted(left_out))
+            yield f"the number of events leaves out events of {named}, which not all runs compute"
 
     def _labels(self) -> list[str]:
         """Return one text for each run, for the legend of the plot.

@@ -100,7 +100,10 @@ def test_balls_have_their_volumes_and_the_overlap_goes_by_priority(hollow):
     overlaps = dict(part.rsplit(" ", 2)[:2] for part in anatomy.notes["overlaps"].split(", "))
     assert float(overlaps["enamel and dentin"]) == pytest.approx(lens, rel=0.02)  # points of 0.1 mm
     assert ("pulp and dentin" in overlaps) == (not hollow)
-    assert anatomy.notes["gaps"] == "none" and anatomy.notes["order of layers"] == "pulp > enamel > dentin"
+    assert (
+        anatomy.notes["gaps"] == "none"
+        and anatomy.notes["order of layers"] == "pulp > enamel > dentin"
+    )
 
 
 def test_a_layer_too_small_for_a_tooth_asks_for_its_file_instead_of_a_scale(tmp_path):
@@ -109,10 +112,10 @@ def test_a_layer_too_small_for_a_tooth_asks_for_its_file_instead_of_a_scale(tmp_
     for name, radius in (("enamel", 6.0), ("dentin", 5.0), ("pulp", 0.4)):
         files[name] = tmp_path / f"{name}.stl"
         ball(radius).export(files[name])
-    with pytest.raises(InputError, match="The file or its unit may be wrong: use .* the pulp in"):
+    with pytest.raises(InputError, match=r"The file or its unit may be wrong: use .* the pulp in"):
         layered_surfaces(files)
     # 10 mm in millimetres is plausible
-    with pytest.raises(InputError, match="Use about 1$"):
+    with pytest.raises(InputError, match=r"Use about 1$"):
         layered_surfaces(files, scale_mm=1000.0)
 
 

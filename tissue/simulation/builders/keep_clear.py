@@ -105,7 +105,7 @@ def _keep_clear(
         "distances in the trace are lower bounds. The error is at most "
         f"{1e3 * (slack_m + APART_M):.2g} mm, and in a breach at most "
         f"{1e3 * (slack_m + OVERLAP_M):.2g} mm{deep}. Both errors are larger if tens of thousands "
-        "of triangles are equally near"
+        "of triangles have the same distance from the tool"
     )
     return KeepClear(
         profile,

@@ -89,11 +89,17 @@ def volume_of(
     low = np.maximum(region[0], bone[0])
     high = np.minimum(region[1], bone[1])
     if (low >= high).any():
+        remedy = f"move it to the bone {box_text(bone)}"
+        if anatomy.placement is not None:
+            remedy += (
+                ". If it is in the frame of the anatomy files, transform it by "
+                "placement.file_to_scene_mm, a matrix in summary.json of a run with another motion"
+            )
         raise InputError(
             "motion",
             "bring the tool to the bone",
             f"a motion whose region, with the tool and a margin, lies {box_text(region)}",
-            f"move it to the bone {box_text(bone)}",
+            remedy,
         )
     low, high = _covered(region, bone, spacing)
     _require_memory(region, bone, spacing)

@@ -82,3 +82,9 @@ def test_a_structure_that_the_tooth_does_not_have_is_refused_with_the_remedy(lay
     ):
         with pytest.raises(InputError, match=remedy):
             simulate(load_scene("molar", changes))
+
+
+def test_a_path_in_the_frame_of_the_files_has_the_transform_in_its_message(layers):
+    away = {"motion.points_mm": [[160, 120, 60], [160, 120, 58]], "duration_s": 0.01}
+    with pytest.raises(InputError, match=r"in the frame of .* placement\.file_to_scene_mm"):
+        simulate(load_scene("molar", layers | STRAIGHT_IN | away))
