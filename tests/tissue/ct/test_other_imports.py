@@ -112,7 +112,7 @@ def tooth(folder):
 def test_a_tooth_of_labels_is_drilled_over_its_largest_lesion(tmp_path):
     file = tooth(tmp_path)
     made = tissue.import_ct(file, tmp_path / "out", labels=file, site="tooth:lesion")
-    assert "12.5 mm3; the second has 2.0% of it" in " ".join(made.sentences)
+    assert "12.5 mm3; the second lesion has 2.0% of its volume" in " ".join(made.sentences)
     scene = tissue.load_scene(
         made.scene, {"voxels.spacing_mm": 0.25, "motion.feed_mm_s": 20.0, "duration_s": 0.15}
     )
