@@ -325,7 +325,7 @@ def band_lines(band: Summary) -> Iterator[str]:
         if ends["p95"] > 0.0:
             yield f"removed {layer}: 90 % {_between(ends)} mm³"
     for structure, figures in band.get("keep_clear", {}).items():
-        yield f"least distance to {structure}: 90 % {_between(figures['least_distance_mm'])} mm"
+        yield f"smallest distance to {structure}: 90 % {_between(figures['least_distance_mm'])} mm"
     for sentence, event in band.get("events", {}).items():
         yield (
             f"{sentence}: in {event['share']:.0%} of the samples, 90 % at "
