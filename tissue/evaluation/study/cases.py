@@ -227,8 +227,8 @@ def _travels(shared: TrialTable) -> tuple[str, str, bytes]:
         shares.append(noticed)
         bounds = f" [{_travel_text(low)}, {_travel_text(high)}]" if low > -inf else ""
         found.append(
-            f"{noticed:.0f} % are noticed with {method}, with a median travel over people of "
-            f"{_travel_text(middle)}{bounds}"
+            f"the puncture is noticed in {noticed:.0f} % with {method} (median travel over people: "
+            f"{_travel_text(middle)}{bounds})"
         )
         # too few people for an interval: only the point
         colour, marker = styles[method]
