@@ -340,7 +340,10 @@ def press_at(
     if away > FAR * size:
         raise InputError("at_mm", "lie on the surface", in_brackets(1000.0 * at_m, ".4g"), found)
     if away > NEAR_M:
-        notes["place"] = found
+        notes["place"] = (
+            f"at_mm lies {1e3 * away:.3g} mm from the surface, so the nearest point of the "
+            f"surface is used: {nearest} mm"
+        )
     direction = -normal if along is None else require_direction("along", along)
     if direction @ normal >= 0.0:
         inward = in_brackets(0.0 - normal, ".2g")

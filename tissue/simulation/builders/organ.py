@@ -253,8 +253,8 @@ def _modulus_note(
         note += f" ({origin} {modulus.low:g}-{modulus.high:g}, confidence {modulus.confidence})"
     if organ.young_end_kPa is not None:
         note += (
-            f" to {organ.young_end_kPa:g} kPa along x, by the distance to the power "
-            f"{organ.grading_exponent:g}"
+            f" to {organ.young_end_kPa:g} kPa along x (distance to the power "
+            f"{organ.grading_exponent:g})"
         )
     for name, stated in parts.items():
         note += f"; {'part ' * name.isdecimal()}{name} {stated:g} kPa"
