@@ -115,8 +115,8 @@ def reference_words(scene: Scene, gap: float) -> str:
         "a loop without latency, with the finest grid" if by_hand else "the finest of three grids"
     )
     if exact:
-        return f"{grid} ({percent} off the exact geometry)"
-    return f"{grid} (grid-convergence index {percent}, of the discretisation alone)"
+        return f"{grid} (which differs by {percent} from the exact geometry)"
+    return f"{grid} (grid-convergence index of {percent}, for the discretisation alone)"
 
 
 EXCERPT_S = {True: 1.2, False: 3.0}
