@@ -5,9 +5,9 @@ the signed distance to the bone's original surface. The second is the distance t
 boundary between layers. These distances are interpolated between voxel centres. A point lies in
 bone if the interpolated surface distance is negative. To find the layer of a point, the boundary
 distance is interpolated once for each layer, with a negative sign in voxels that belong to a
-different layer. The layer with the largest interpolated value is chosen. Far from the surface and
-from every layer boundary, the layer and density of the nearest voxel are used. The surface distance
-is then -2 inside and 2 outside. Lengths are in voxels.
+different layer. The layer with the largest interpolated value is chosen. At a point far from the
+surface and from every layer boundary, the layer and density of the nearest voxel are used. The
+surface distance of such a point is -2 inside and 2 outside. Lengths are in voxels.
 """
 
 import warp as wp
@@ -92,8 +92,8 @@ def bone_at(
 def distance_between(stored: corner8i, inside: wp.vec3, nearest: Bone):
     """Interpolate the surface distance and its gradient between the eight voxel centres of a cell.
 
-    ``inside`` is the position in the cell, with components from 0 to 1. The result is a copy of
-    ``nearest`` in which distance and gradient are replaced.
+    ``inside`` is the position in the cell, with components from 0 to 1. ``nearest`` describes the
+    nearest voxel. The result is a copy of ``nearest`` with the interpolated distance and gradient.
     """
     found = nearest
     fx = inside[0]

@@ -6,9 +6,9 @@ the displacement is evaluated at the centre of each cube, at 1/4 or 3/4 of the c
 component's values at the corners, along the three axes. With the edge length h of the cell, the
 gradient in the cube on the sides r, s and t (-1 or 1) along x, y and z is::
 
-    4 h d_x u_c = X + s XY/2 + t XZ/2 + s t XYZ/4     and so on,
+    4 h d_x u_c = X + s XY/2 + t XZ/2 + s t XYZ/4     (d_y and d_z likewise)
 
-For all four pairs (s, t), the computation takes 8 additions. The forces are computed by the
+The computation takes 8 additions for all four pairs (s, t) together. The forces are computed by the
 transposed additions. The gradient of some modes varies inside a cube, so one evaluation point per
 cube does not resolve these modes fully. A stiffness against such unresolved modes is added, as in
 :mod:`kernels.particle_stiffness`. The product needs 17 stored numbers and about 500 operations per

@@ -6,15 +6,13 @@ compute the distance of a point from a tool, and the contact force at one point 
 friction.
 
 Distance: the functions return the signed distance of a point from the tool, and the gradient of
-this distance.
+this distance. The tip of a tool is its lowest point, and the tool's z axis runs from the tip to the
+shank. The surface of a sphere passes through the tip. A cylinder has a flat lower face through the
+tip, a rounded edge, and no upper end. A shell consists of points on the tool's surface. Each shell
+point has a plane that represents the tool's surface near the point.
 
-The tip of a tool is its lowest point, and the tool's z axis runs from the tip to the shank. The
-surface of a sphere passes through the tip. A cylinder has a flat lower face through the tip, a
-rounded edge, and no upper end. A shell consists of points on the tool's surface. Each shell point
-has a plane that represents the tool's surface near the point.
-
-Force: the contact force at a point of a compliant body follows the laws of Signorini and Coulomb.
-It keeps the point out of the tool.
+Force: the contact force at a point of a compliant body keeps this point out of the tool. The force
+follows the laws of Signorini and Coulomb.
 
 W is the body's compliance at the point, n the tool's normal and f the force on the body. The gap is
 the distance between point and tool. The gap is not negative, the normal force does not pull, and

@@ -51,8 +51,8 @@ def cores_without(core: int | None, allowed: set[int]) -> set[int]:
 class CoreThreads(ThreadPoolExecutor):
     """Pool of threads that do not run on the core of the calling thread.
 
-    An operating system often starts a woken thread on the core of the caller. There, the woken
-    thread would wait until the caller has finished the caller's part of the work.
+    An operating system often starts a woken thread on the core of the caller. On this core, the
+    woken thread would wait until the caller has finished its own part of the work.
 
     Parameters
     ----------

@@ -10,11 +10,11 @@ coefficients (Altintas 2012, Manufacturing Automation, ch. 2) and a size effect.
 
 For each element, v is the velocity, A the area, r the distance from the axis, and t, n and a are
 the tangential, normal and axial directions. N is the number of teeth, and omega is the angular
-speed of the spindle. Every coefficient K is scaled by (density / reference density) ** exponent,
-with the reference density and the exponent of the bone layer. Below the minimum chip thickness
-h_min the force is proportional to h, so the force is a Lipschitz function of the velocity. With m =
-0 and h_min = 0, the force is linear in h. An element that does not advance along its outward normal
-does not cut.
+speed of the spindle. m and h_0 are the exponent and the reference thickness of the size effect.
+Every coefficient K is scaled by (density / reference density) ** exponent, with the reference
+density and the exponent of the bone layer. Below the minimum chip thickness h_min the force is
+proportional to h, so the force is a Lipschitz function of the velocity. With m = 0 and h_min = 0,
+the force is linear in h. An element that does not advance along its outward normal does not cut.
 
 The factor ``share`` is the part of the element's width that lies below the surface of the bone, see
 `kernels.engagement`. In each tick (1 ms step), the share is evaluated at the middle of the

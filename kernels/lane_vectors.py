@@ -133,7 +133,7 @@ def node_diagonals(
     # [component, slot] [m/N], 1 / (bound D); 0 if held or empty
     inverse_out: Singles2D,
 ):
-    """Compute the diagonal of the stiffness at the given nodes, and its scaled inverse."""
+    """Compute the diagonal D of the stiffness at the given nodes, and ``1 / (largest * D)``."""
     node = nodes[wp.tid() + offset]
     total = wp.vec3d()
     for a in range(8):
@@ -165,7 +165,8 @@ def smooth(
     """Run one smoothing step: ``v += d``, ``r -= K d``, ``d = share d + gain D^-1 r``.
 
     Here, v is the vector, r the residual, d the search direction and K the stiffness. ``inverse``
-    is D^-1, the scaled inverse of the diagonal of K. The product K d is read from ``force_out``.
+    contains D^-1, where D is the diagonal of K times an upper bound of the eigenvalues. The product
+    K d is read from ``force_out``.
     """
     i = wp.tid() + offset
     for c in range(3):

@@ -5,16 +5,13 @@ a launch can run in two threads. Passing work to a thread takes about 50 us. A l
 split only if its last runs took longer than ``SPLIT_ABOVE_S``. In addition, measurements must show
 that splitting saves time, see `SplitChoice`. A single slow run does not count, because another
 process may have interrupted it. Other processes may occupy the core of a thread, so that the thread
-does not begin its part. The calling thread then runs the part itself, because waiting would cost
+does not begin its part. The calling thread then runs this part itself, because waiting would cost
 milliseconds. Kernels are written so that splitting does not change any bit of the result.
 
-A launch is split only if the gain measured on this machine is large enough.
-
-Two logical processors may share one core, or other processes may keep a core busy. On such cores,
-half of the work takes as long as the whole work, and splitting only adds time. The gain is the
-ratio of the time without splitting to the time with splitting. The first long runs of a launch
-measure the gain. The gain is measured again while the launches run, at first often and later less
-and less often.
+Two logical processors may share one core, or other processes may keep a core busy. Half of the work
+then takes as long as the whole work, and splitting only adds time. The gain is the ratio of the
+time without splitting to the time with splitting. The first long runs of a launch measure the gain.
+The gain is measured again while the launches run, at first often and later less and less often.
 """
 
 import ctypes
@@ -35,7 +32,8 @@ from kernels.mirror import placed
 LEAST_GAIN = 1.1
 """Smallest gain (time without splitting / time with splitting) at which a launch is split.
 
-The value was chosen by judgement.
+The value was chosen by judgement. With a smaller value, further cores are occupied although they
+save less than a tenth of the time.
 """
 ORDER = tuple(number.bit_count() % 2 == 1 for number in range(16))
 """Order of the runs in a trial: True for a split run, False for a run as a whole.
@@ -46,9 +44,8 @@ runs. The order is not periodic, so it cannot coincide with a period of the work
 MOST_RATIO = 4.0
 """Upper limit for the time of a run in a trial, relative to the median time of the trial.
 
-Longer times are replaced by this limit.
-
-A single interruption therefore does not change the outcome of the trial.
+Longer times are replaced by this limit. A single interruption therefore does not change the outcome
+of the trial.
 """
 KEPT = 4
 """Number of most recent gains that are used. Older gains may belong to another machine load."""
@@ -64,7 +61,7 @@ class SplitChoice:
     """Choice for one kernel launch: run it as a whole, or split it over several cores.
 
     Because the work of a launch changes from run to run, the choice is based on trials. A trial
-    compares equal numbers of whole and split runs in mixed order. The first long runs are a trial.
+    compares equal numbers of whole and split runs in mixed order.
     """
 
     def __init__(self) -> None:

@@ -2,10 +2,10 @@
 
 Each node near the tool has a slot. Nodes that may carry load (loaded nodes) have the first slots. A
 loaded node also has three rows, one for each component of its force. A row holds the displacements
-of the nodes in all slots due to a unit force, slot by slot. To compute the displacements due to a
-change of force, consecutive memory is read, in packs of numbers. In the full compliance matrix, in
-contrast, the three rows of each 3 x 3 block lie far apart. In each tick (1 ms step), entries are
-copied only for nodes that are newly near the tool or newly loaded.
+of the nodes in all slots due to a unit force, slot by slot. The displacements due to a change of
+force are therefore computed from consecutive memory, which is read in packs of numbers. In the full
+compliance matrix, in contrast, the three rows of each 3 x 3 block lie far apart. In each tick (1 ms
+step), entries are copied only for nodes that are newly near the tool or newly loaded.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ from kernels.contact_state import Body, block
 wp.set_module_options({"max_unroll": 1})
 
 LANES = 16
-"""Number of values in a pack. A pack is read at once.
+"""Number of values in a pack. All values of a pack are read at once.
 
 Reading a block of nine numbers takes 0.7 ns with packs of 16 numbers, 1.0 ns with packs of 8, and
 0.8 ns with packs of 32. Reading the block from the full compliance takes 3.9 ns.

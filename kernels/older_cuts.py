@@ -180,9 +180,9 @@ def bend_below(bend: float, outward: wp.vec3, part: wp.vec3):
     """Estimate the error [voxel] of linear interpolation along a surface with the tool's curvature.
 
     For a convex surface, distances that are interpolated between voxel centres are too small. The
-    surface is curved along one direction in the tangent plane, perpendicular to ``outward``. This
-    direction is not known, so the returned estimate is the mean over all directions. The error of
-    the estimate is at most as large as the estimate.
+    interpolated distance is curved only along the path of the tool. The direction of the path is
+    not known, so the estimate is the mean over all directions perpendicular to ``outward``. The
+    error of the estimate is at most as large as the estimate.
     """
     if bend >= EDGE:
         return float(0.0)

@@ -6,8 +6,8 @@ g_a. ``w B^T D B`` has the blocks::
 
     K_ab = w [lambda g_a g_b^T + mu g_b g_a^T + mu (g_a . g_b) I]
 
-In a cell that is cut or holds few particles, some deformation modes are unresolved: they have no
-energy. With a single particle, for example, the stiffness has a rank of 6 instead of 18. A fraction
+In a cell that is cut or holds few particles, some deformation modes have no energy (unresolved
+modes). With a single particle, for example, the stiffness has a rank of 6 instead of 18. A fraction
 s of a stabilising energy is therefore added. The stabilising energy is that of a full cell with the
 mean shear modulus, in the modes whose gradient varies inside the cell. Its stiffness matrix for
 Lame constants of 1 is ``inner``. For linear displacement fields, the stabilising energy is zero, so
@@ -16,16 +16,16 @@ the patch test is still exact::
     K_ab += s (sum w mu / h^3) inner_ab,   s = strength (1 - min(1, min_i 12 sum w (x_i - 1/2)^2 / h^3))
 
 The sums are over the particles of the cell, h is the cell's edge length, and x_i is a particle's
-coordinate from 0 to 1. The outer bracket is 0 if the particles have the second moment of a full
-cell, as particles at Gauss points have. For a single particle in the middle, the bracket is 1. The
-method is hourglass control (Flanagan and Belytschko 1981, Int. J. Numer. Methods Eng. 17:679),
-scaled by this bracket.
+coordinate from 0 to 1. The ratio s / strength is 0 if the particles have the second moment of a
+full cell, as particles at Gauss points have. For a single particle in the middle, the ratio is 1.
+The method is hourglass control (Flanagan and Belytschko 1981, Int. J. Numer. Methods Eng. 17:679),
+scaled by this ratio.
 
 Springs between points x of the cell and the ground add ``sum N_a(x) N_b(x) S`` to K_ab. S is the 3
 x 3 stiffness of a spring, and N_a is the shape function of corner a.
 
-The module also computes the stress at points of the cells. The displacement gradient is ``grad u =
-sum u_a g_a^T``, the strain ``e = sym grad u`` and the stress ``s = lambda tr(e) I + 2 mu e``."""  # noqa: E501 a table
+The module also computes the stress ``sigma = lambda tr(e) I + 2 mu e`` at points of the cells. The
+displacement gradient is ``grad u = sum u_a g_a^T``, and the strain is ``e = sym grad u``."""  # noqa: E501 a table
 
 import warp as wp
 

@@ -44,7 +44,7 @@ number of steps, and the number of linear systems solved. Then follow force / co
 centre of pressure is relative to the tool's origin, in world axes.
 """
 HALVINGS = 8
-"""Largest number of times that a step is halved. Then, the proxy stops until the next tick.
+"""Largest number of halvings of a step. If more are needed, the proxy stops until the next tick.
 
 Eight halvings reduce a step of half a voxel to 0.002 voxels.
 """
@@ -111,7 +111,10 @@ def advance_proxy(
     state_out: Doubles,
     report_out: Doubles,
 ):
-    """Move the proxy in steps toward the goal pose, to the last pose found free of obstacles."""
+    """Move the proxy in steps toward the goal pose.
+
+    The last pose that was found free of obstacles is written to the state.
+    """
     goal_position = position_in(goal)
     goal_rotation = rotation_in(goal)
     descent = begin_descent(state_out, settings.tolerance)

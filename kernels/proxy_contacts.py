@@ -27,10 +27,10 @@ A sleeping point is a shell point far from all obstacles, which is not checked f
 limit reduces the number of points that are checked on a long path.
 """
 LEAST_SLOPE = wp.float64(0.5)
-"""Lower limit of the slope of the level, by which the level at a point is divided.
+"""Lower limit of the slope in the ratio level / slope, which is the assumed distance of a point.
 
-The level is an approximate signed distance from bone voxels, and level / slope is the assumed
-distance. With this limit, the assumed distance is never more than one voxel.
+The level is an approximate signed distance from bone voxels. With this limit, the assumed distance
+is at most 0.5 voxels outside the bone and 1.5 voxels inside.
 """
 SAME_DIRECTION = wp.float64(0.99999999)
 """Cosine of the angle up to which two planes count as equal.

@@ -131,10 +131,9 @@ def cut_straight(moved: wp.vec3, normal: Lanes3, half: lanes8):
 def cut_turned(
     moved: wp.vec3, turn: wp.vec3, elements: Elements, eight: int, normal: Lanes3, half: lanes8
 ):
-    """Compute the depth [m] that a displaced and rotated tool has cut, for eight elements.
+    """Compute the depth [m] that a displaced, rotated tool has cut in front of eight elements.
 
-    The depth is the depth in front of each element. The tool was displaced by ``moved`` [m], and
-    rotated by ``turn`` [rad].
+    The tool was displaced by ``moved`` [m], and rotated by ``turn`` [rad].
     """
     # To second order in the rotation w, an element at p with normal n moves by w x p, and the
     # surface at its new position rises by (w x n) . (w x p / 2 + moved). The rotation about the

@@ -11,7 +11,7 @@ EDGE_BEND = 8.0
 """Value of `Revolution.bend` that marks an edge of the tool's profile.
 
 The bend is a sixth of the sum of the principal curvatures. Near an edge, the tool's surface in a
-block of voxels cannot be approximated by one plane. This special value marks such places.
+block of voxels cannot be approximated by one plane.
 
 The bend of a smooth surface is always smaller. Even a ball with a radius of one voxel, which is
 smaller than any tool, has a bend of 1/3.

@@ -43,8 +43,8 @@ HULL = 8
 WIDE_RAD = wp.float64(1.0)
 """Smallest half angle [rad] of a cell whose bound is computed only from the cell's size.
 
-For larger angles, the hull around the cell is too coarse. At this angle, the distance of hull
-corners on tangents from the tool's axis is 1.85 times the radius of the cell.
+For larger angles, the hull around the cell is too coarse. At this angle, the outermost hull corners
+are 1.85 times as far from the tool's axis as the cell.
 """
 
 

@@ -172,7 +172,10 @@ def derivatives(
     powers: Doubles,
     exponentials: Doubles2D,
 ):
-    """Compute the energy density [Pa] and its first and second derivatives by log stretches."""
+    """Compute the energy density [Pa], and its first and second derivatives.
+
+    The derivatives are with respect to the logarithms of the stretches.
+    """
     j = stretch[0] * stretch[1] * stretch[2]
     isochoric = stretch / wp.pow(j, ONE / THREE)
     energy = wp.float64(0.25) * bulk * (j * j - ONE - TWO * wp.log(j))
@@ -229,7 +232,7 @@ def stretch_force(
     energy_out: Doubles,  # [cell] [J]
     force_out: Vectors2D,  # [cell, node of the cell], derivative of the energy [N]
 ):
-    """Compute the energy of each cell, and the energy's derivative by node positions."""
+    """Compute the energy of each cell, and its derivative with respect to the node positions."""
     cell = wp.tid() + offset
     for a in range(nodes.shape[1]):
         force_out[cell, a] = wp.vec3d()

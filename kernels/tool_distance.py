@@ -98,8 +98,8 @@ def on_arc(shape: Doubles2D, k: int, p: wp.vec2d):
 def distance_to_part(outline: Outline, part: int, point: wp.vec3d):
     """Compute the signed distance of a point from one part of the tool.
 
-    Also return the gradient of the distance, and a radius of curvature. This is the smallest radius
-    of curvature, at the point, of the surface on which the distance is constant.
+    Also return the gradient of the distance, and a radius of curvature. The surface of constant
+    distance through the point has two principal radii, of which the smaller is returned.
     """
     radius = wp.sqrt(point[0] * point[0] + point[1] * point[1])
     p = wp.vec2d(radius, point[2])
@@ -175,7 +175,7 @@ def nearest_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
 
 @wp.func
 def best_mix(first: wp.vec3d, second: wp.vec3d):
-    """Find the weights for which the mean of two linear functions has the largest minimum.
+    """Find the weights for which the weighted mean of two linear functions has the largest minimum.
 
     The functions are defined on a triangle. Each function, and the returned weighted mean, is given
     by its values at the corners of the triangle.
@@ -202,8 +202,7 @@ def bounds_over(outline: Outline, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, best: w
 
     Gradient descent approaches the point of the triangle with the smallest distance. If the
     distance function is smooth at this point, its linear approximation gives the exact lower bound.
-    If the function has a crease at this point, a weighted mean of two linear approximations gives
-    the exact lower bound.
+    At a crease, a weighted mean of two linear approximations gives this bound.
     """
     middle = (a + b + c) / THREE
     size = wp.max(wp.length(a - middle), wp.max(wp.length(b - middle), wp.length(c - middle)))

@@ -3,12 +3,12 @@
 The distance of a point from the surface of the voxels is not stored. It is computed on demand from
 the remaining fractions of the eight voxels around the point, so carving does not have to update
 distances. F is the trilinearly interpolated fraction and h the voxel spacing. The level at a point
-is h times ``SURFACE`` minus h times F. It is zero on the surface, and has a slope of about one in
-the outward direction. ``SURFACE`` is less than one half, because a plate that is one voxel thick
-may half fill two layers of voxels. The contact surface therefore lies outside the true surface. To
-compensate, the shell points, which represent the tool's surface, are moved inward. Away from bone,
-a lower bound of the distance from the initial bone is read from the array ``clearance``. The bound
-remains valid, because removal of bone can only increase the distance.
+is ``h (SURFACE - F)``. It is zero on the surface, and has a slope of about one in the outward
+direction. ``SURFACE`` is less than one half, because a plate that is one voxel thick may half fill
+two layers of voxels. The contact surface therefore lies outside the true surface. To compensate,
+the shell points, which represent the tool's surface, are moved inward. Away from bone, a lower
+bound of the distance from the initial bone is read from the array ``clearance``. The bound remains
+valid, because removal of bone can only increase the distance.
 """
 
 import warp as wp

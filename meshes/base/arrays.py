@@ -60,8 +60,8 @@ def directed_edges(triangles: Ints) -> Ints:
 def windings(triangles: Ints) -> Ints:
     """Return the orientation of each triangle, shape (m,), relative to its vertex indices.
 
-    The value is -1 if the indices ascend in cyclic order, and 1 if they descend. The value is 0 if
-    a triangle uses a point twice.
+    The value is -1 if the indices ascend when read from the smallest index, and 1 if they descend.
+    The value is 0 if a triangle uses a point twice.
     """
     a, b, c = triangles.T
     return np.sign(b - a) * np.sign(c - b) * np.sign(a - c)

@@ -22,7 +22,7 @@ class _Present:
     """Type of the constant `PRESENT`."""
 
     def __reduce__(self) -> str:
-        """Pickle only the name, so that an error from another process holds `PRESENT` itself."""
+        """Pickle only the name, so that another process restores the constant `PRESENT` itself."""
         return "PRESENT"
 
 

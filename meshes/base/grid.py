@@ -20,7 +20,8 @@ compares the two values.
 class Grid:
     """Grid of voxels whose indices are counted from the origin of a coordinate frame.
 
-    Along each axis, the voxel with index i extends from i to i + 1 times the spacing.
+    Along each axis, the voxel with index i extends from ``i * spacing_m`` to ``(i + 1) *
+    spacing_m``.
 
     Attributes
     ----------

@@ -11,7 +11,7 @@ from typing import Any, TypeVar, cast
 F = TypeVar("F", bound=Callable[..., Any])
 
 UNITS = re.compile(r"deg|[km]?n|[kmg]?pa|[kg]?hz|[munk]?m|[mu]?s|kg|rad|m?w|[jk]|mm[23]")
-"""Regular expression for a unit in a name. Units are ignored when names are compared."""
+"""Regular expression for a unit in a name. Units are compared separately from words."""
 SAME_MEANING = tuple(
     frozenset(words.split())
     for words in (
@@ -46,7 +46,7 @@ LEAST_SCORE = 0.62
 If one letter of a scene key is missing, the similarity to the correct key is at least 0.68.
 """
 TIE = 0.07
-"""Largest difference of similarity between the best name and other suggested names.
+"""Largest difference between the similarity of the best name and that of another suggested name.
 
 An additional word in a name lowers the similarity by 0.085, which is more than this difference. For
 `radius_mm`, `diameter_mm` is therefore suggested and `peg_diameter_mm` is not.
@@ -54,9 +54,9 @@ An additional word in a name lowers the similarity by 0.085, which is more than 
 MOST = 3
 """Largest number of suggestions."""
 MISSPELT = 0.85
-"""Factor from the share of letters that two words have in common to their similarity.
+"""Ratio of the similarity of two words to the share of letters that they have in common.
 
-With this factor, a misspelt word is not more similar than a synonym.
+With this ratio, a misspelt word is not more similar than a synonym.
 """
 OTHER_UNIT = 0.9
 """Factor by which the similarity is multiplied if the two names have different units."""
@@ -65,8 +65,8 @@ OTHER_UNIT = 0.9
 def closest(word: str, known: Iterable[str]) -> list[str]:
     """Return the known names that a word most likely means, best first, at most `MOST`.
 
-    Names are compared word by word, without their units. Words are compared by spelling. Words in
-    `SAME_MEANING` are also compared by meaning.
+    Names are compared word by word. Words are compared by spelling. Words in `SAME_MEANING` are
+    also compared by meaning. Different units lower the similarity, see `OTHER_UNIT`.
     """
     scores = {name: _score(word, name) for name in known}
     best = max(scores.values(), default=0.0)
@@ -77,7 +77,7 @@ def closest(word: str, known: Iterable[str]) -> list[str]:
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return a question in brackets that suggests the names that a word most likely means.
+    """Return a question in brackets that suggests the known names most similar to a word.
 
     The result is an empty string if no name is similar to the word.
     """
@@ -90,8 +90,8 @@ def suggests_arguments(of: F) -> F:
     Parameters
     ----------
     of
-        Function or class. Of a class, the constructor and the public methods that it defines itself
-        are wrapped. Functions with a ``**`` parameter are not changed.
+        Function or class. In a class, the constructor and the public methods are wrapped, except
+        inherited methods. Functions with a ``**`` parameter are not changed.
     """
     if not isinstance(of, type):
         return _checked(of)
@@ -136,7 +136,7 @@ def did_you_mean(names: Sequence[str]) -> str:
 
 
 def _score(given: str, name: str) -> float:
-    """Return the similarity of two names, which is 1 if the names consist of the same words."""
+    """Return the similarity of two names, which is 1 if they have the same words and units."""
     words = _words(given)
     others = _words(name)
     if not words or not others:

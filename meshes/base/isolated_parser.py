@@ -78,7 +78,7 @@ Answer = tuple[Facts, "dict[str, NDArray[np.number]]"]
 _START = start_code("meshes.base.isolated_parser", "_serve")
 _LONGEST_S = 60.0
 _BYTES_A_SECOND = 1_000_000
-"""Base time limit of a parser [s], and number of file bytes that add one second to the limit.
+"""File size [byte] that adds one second to the time limit `_LONGEST_S` of a parser.
 
 On a busy machine, VTK files are read at 2 to 5 MB per second.
 """
@@ -86,7 +86,7 @@ _LEAST_BYTES = 2 << 30
 _BYTES_A_BYTE = 64
 """Allowed memory per byte of the file [byte]. The total is at least ``_LEAST_BYTES``.
 
-The factor is large, because a compressed label image may have a hundredth of its original size.
+The factor is large, because a compressed label image may be many times smaller than its content.
 """
 _LIBRARIES_BYTES = 256 << 20
 """Memory of the Python interpreter and its libraries [byte].

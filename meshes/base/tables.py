@@ -82,13 +82,13 @@ class TextTable:
     def numbers(self, name: str) -> Array:
         """Return the numbers of a column, shape (n,). The number of an empty cell is NaN.
 
-        Dates with times are converted to seconds since 1970 in UTC, and times of day to seconds
-        since midnight.
+        Dates with times are converted to seconds since 1970 in UTC. Times without a time zone count
+        as UTC. Times of day are converted to seconds since the midnight before the first row.
 
         Raises
         ------
         InputError
-            If two columns have this name, or a cell does not contain a number.
+            If no column or several columns have this name, or a cell does not contain a number.
         """
         if self.names.count(name) != 1:
             problem = f"{self.names.count(name)} columns named {name} in {self.path.name}"
@@ -332,9 +332,9 @@ def _require_decimal_points(
 def _marks(rows: list[list[str]], delimiter: str, path: Path, what: str) -> tuple[str, str]:
     """Return the decimal mark and the thousands separator, which may be empty.
 
-    The first notation in which all numbers can be written is used. A single number such as 1,234
-    has a thousands separator only if commas also separate the columns, or if another number has a
-    decimal point.
+    Common notations are tried in turn until one fits all numbers. A number such as 1,234 has a
+    thousands separator only if commas also separate the columns, or if another number has a decimal
+    point.
     """
     cells = [cell.strip() for row in rows for cell in row if "," in cell or "." in cell]
     if not any("," in cell or cell.count(".") > 1 for cell in cells):

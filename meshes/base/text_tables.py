@@ -52,7 +52,7 @@ def read_toml(text: str) -> dict[str, Any]:
 
 @contextmanager
 def _limited(error: Callable[[str], Exception]) -> Iterator[None]:
-    """Convert errors for deep nesting and for long numbers by the function `error`."""
+    """Replace errors on deep nesting and long numbers by the error that `error` returns."""
     try:
         yield
     except (tomllib.TOMLDecodeError, json.JSONDecodeError, UnicodeDecodeError):

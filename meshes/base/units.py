@@ -76,7 +76,7 @@ def unit_of(header: str, quantity: str) -> str:
 
 
 def name_of(header: str, quantity: str) -> str:
-    """Return the name in a header without its unit, in lower case: "Tool X [mm]" is "tool_x"."""
+    """Return the name in a header without unit, in lower case: "Tool X [mm]" becomes "tool_x"."""
     return re.sub(r"[^a-z0-9]+", "_", _parts(header, quantity)[0].lower()).strip("_")
 
 

@@ -46,15 +46,15 @@ _TO_EDGE = 0.501
 A bone may be cut off at this edge.
 """
 _FARTHEST_OUT_M = 0.5e-3
-"""Largest distance [m] by which a trabecular core may extend beyond the surface of the bone.
+"""Distance [m] from the bone up to which a point of the trabecular core counts as touching.
 
-The surfaces of core and bone are smoothed separately.
+The value is not zero, because the surfaces of core and bone are smoothed separately.
 """
 _LEAST_TOUCHING = 0.2
-"""Smallest share of a core's points that must lie in the bone or on its surface.
+"""Smallest valid share of a trabecular core's points that touch the bone.
 
-The share is small, because a hollow cortex may be open, for example the cortex of a jaw at the
-teeth.
+The share is small, because a surface of the cortex alone may be open, for example at the teeth of a
+jaw. The core then lies outside the solid that this surface encloses.
 """
 
 
@@ -86,7 +86,8 @@ def imaged_anatomy(
     Raises
     ------
     InputError
-        If the image does not cover the surface, or a parameter is out of range.
+        If the image does not cover the surface or contains values that are not densities, or if a
+        parameter is out of range.
     """
     dense, articular = require_ranges(
         # The default density of trabecular bone is 350 kg/m3, and the densest cortex has 2000
@@ -190,7 +191,8 @@ def stated_law(path: Path) -> str:
 def _require_covered(surface: Surface, density: Image) -> None:
     """Raise an error for a density image without density at the surface of the bone.
 
-    Such an image belongs to another bone, or has another frame or unit.
+    Such an image belongs to another bone, or has another frame or unit. Also raise an error for
+    values that are not densities, such as Hounsfield units.
     """
     origin = np.array(density.origin_mm)
     last = np.array(density.values.shape) - 1

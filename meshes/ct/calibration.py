@@ -6,7 +6,7 @@ tissues. There are three differences from the paper. First, the linear attenuati
 because Hounsfield units are linear in this attenuation. Second, all unknowns have priors and are
 estimated together, so the uncertainty of the density includes the uncertainty of the unknowns.
 Third, bone is treated as a mixture of dense bone (ICRU 44) and marrow. Published relations between
-K2HPO4 and ash density are not used, because they differ by 30 %.
+K2HPO4 and ash density are not used, because these relations differ from each other by 30 %.
 """
 
 import math
@@ -128,7 +128,7 @@ _MODES_HU = {"air": (-1060.0, -940.0), "adipose": (-140.0, -45.0), "muscle": (15
 At 60 to 120 keV, the tables of ICRU 44 give -89 to -56 HU for fat and 44 to 41 HU for muscle.
 """
 _BINS_HU = (-1100, 200)
-"""Range of the histogram [HU], which contains all ranges of `_MODES_HU`. The bins are 1 HU wide."""
+"""Range of the histogram [HU], with bins of 1 HU. It contains all ranges of `_MODES_HU`."""
 _SMOOTHING_HU = 4.0  # standard deviation of the smoothing; single bins have random maxima
 _LEAST_PEAK = 0.2  # height of a maximum, relative to the highest maximum in the tissue's range
 _PROMINENCE = 0.02  # prominence of a maximum, relative to the same highest maximum
@@ -158,7 +158,7 @@ class Region:
 class Calibration:
     """Result of a calibration: law that converts Hounsfield units to density.
 
-    `energy_keV` contains the effective energy and its standard deviation.
+    `energy_keV` and `energy_sd_keV` are the effective energy and its standard deviation.
     """
 
     law: DensityLaw
@@ -213,8 +213,8 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
     The unknowns are the effective energy, the scanner's errors in the value of water and in the
     scale, the fat content of marrow, and one deviation for each tissue. This deviation is the
     relative difference of the tissue's attenuation from the value computed with ICRU 44. Each
-    unknown is expressed as a standard normal variable. The covariance is computed from the
-    linearised problem.
+    unknown is scaled such that its prior is the standard normal distribution. The covariance is
+    computed from the linearised problem.
 
     Raises
     ------
@@ -287,7 +287,10 @@ def _energy(unknown: Array) -> float:
 
 
 def _read(attenuation_1_m: float, unknown: Array) -> float:
-    """Compute the Hounsfield units that the scanner would show for a linear attenuation [1/m]."""
+    """Compute the Hounsfield units that a scanner shows for a linear attenuation [1/m].
+
+    `unknown` contains the energy and the scanner's errors, see `fit_regions`.
+    """
     true = hounsfield(attenuation_1_m, _energy(unknown))
     return (1.0 + _SCALE_SD * float(unknown[1])) * true + _WATER_SD_HU * float(unknown[2])
 
@@ -310,8 +313,9 @@ def find_regions(image: Image) -> dict[str, Region]:
     """Find air, adipose, muscle and cortex in a CT.
 
     Only voxels in homogeneous neighbourhoods are used, where the values vary only by noise. The
-    values of air, fat and muscle are the most frequent values in the ranges of these tissues.
-    Cortex is the densest tenth of the voxels that are surrounded by bone and not near metal.
+    values of fat and muscle are maxima of the histogram in the ranges of these tissues. The value
+    of air is the median in its range. Cortex is the densest tenth of the voxels that are surrounded
+    by bone and not near metal.
     """
     from scipy.ndimage import uniform_filter
 

@@ -11,7 +11,7 @@ from meshes.base.errors import InputError, require_range
 
 ASH_SHARE = 0.598
 ASH_SHARE_SD = 0.004
-"""Ratio of ash density to apparent density of human bone, and its standard deviation.
+"""Standard deviation of `ASH_SHARE`, the ratio of ash density to apparent density of human bone.
 
 The ratio is 0.598 +- 0.004 for cortical and trabecular bone (Schileo et al. 2008, J Biomech
 41:2483).
@@ -137,8 +137,8 @@ DENSITY_LAWS = {law.name: law for law in (CT_DENSITY, _MAYO_DENSITY)}
 """Density laws by name. Each law is the linear relation measured on one scanner.
 
 The uncertainty band of each law contains the densities that are computed from attenuation tables at
-62 to 80 keV, see `CT_DENSITY`. The computed densities differ from the law ``dragomir-daescu`` by
--10 to 47 %.
+62 to 80 keV, see `CT_DENSITY`. These densities are up to 10 % lower and up to 47 % higher than
+those of the law ``dragomir-daescu``.
 """
 
 _TO_ASH = {
@@ -155,14 +155,14 @@ _TO_ASH = {
 """Conversion from a phantom's equivalent density to ash density.
 
 Each entry has the slope, the offset [kg/m3], the relative standard deviation of the apparent
-density, and the source. The line 1.22 K2HPO4 + 52.3 is from Les 1994 (table 1 of Knowles 2016). The
-factor 0.9 follows from the line of Dragomir-Daescu 2011. For HA, the standard deviation of 3 % is
-the uncertainty of the calcium content in ICRU 44, see `meshes.ct.calibration`.
+density, and the source. The slopes in use for K2HPO4 range from 0.9 (from the line of
+Dragomir-Daescu 2011) to 1.22 (Les 1994, table 1 of Knowles 2016). For HA, the standard deviation of
+3 % is the uncertainty of the calcium content in ICRU 44, see `meshes.ct.calibration`.
 """
 
 
 def line_law(slope: float, offset: float, equivalent: str = "apparent") -> DensityLaw:
-    """Return the density law for a line from Hounsfield units to a phantom's equivalent density.
+    """Return the density law for a linear relation of Hounsfield units and a phantom's density.
 
     Parameters
     ----------

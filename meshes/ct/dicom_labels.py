@@ -272,8 +272,8 @@ def _drawn(
 
     A voxel belongs to a structure if the voxel's centre lies within an odd number of the
     structure's outlines. An outline within another outline is therefore a hole. Each plane of the
-    image uses the outlines of the nearest plane that has outlines. An image plane is empty if no
-    plane with outlines is near, that is, within half the distance between such planes.
+    image uses the outlines of the nearest plane that has outlines. If this plane is farther away
+    than half the distance between planes with outlines, the image plane is empty.
     """
     from skimage.draw import polygon2mask
 

@@ -21,7 +21,7 @@ MARGIN = 3
 KEPT_MARGIN = 4
 """Margin [voxel] around a piece of a structure that is smoothed.
 
-The margin is five standard deviations of the smoothing wide.
+The value is five times the standard deviation of the smoothing, `SMOOTH_VOXELS`.
 """
 SMOOTH_VOXELS = 0.8
 """Standard deviation [voxel] with which a label is smoothed.
@@ -177,7 +177,7 @@ def cropped(image: Image, box_mm: Box, *, stated_in: str = "LPS") -> Image:
 def by_label(image: Image, mask: Flags) -> BoneOfImage:
     """Extract the bone that a label marks in an image.
 
-    `mask` has the image's shape.
+    `mask` has the image's shape. Only the largest connected piece of the label is used.
 
     The voxel steps of the label are smoothed. The surface is a level set of the smoothed label. The
     level is chosen such that the surface contains as many voxels as the label. If voxels are small
@@ -280,8 +280,8 @@ def filled(mask: Flags, image: Image) -> Flags:
     Gaps of the cortex are closed first. Then, in each plane normal to an image axis, the regions
     that the mask encloses are filled.
 
-    Planes of three directions are used, because the edge of the image may cut off a bone. Only
-    planes of some directions then show the marrow enclosed.
+    If the edge of the image cuts off a bone, the marrow is enclosed only in planes of some
+    directions. Planes of all three directions are therefore used.
     """
     from scipy.ndimage import binary_fill_holes, distance_transform_edt
 
@@ -304,8 +304,8 @@ def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints]
 
     The surface consists of vertices [mm, LPS], shape (n, 3), and triangles, shape (m, 3).
 
-    Each piece is smoothed separately, and its volume does not change. A piece is not smoothed if it
-    is so thin that smoothing would remove the piece.
+    Each piece is smoothed separately, and its volume does not change. Parts that are so thin that
+    smoothing would remove them are not smoothed.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from meshes.images.frame import Image
 
 AIR_HU = (-1100, -900)
 SOFT_HU = (-150, 150)
-"""Range of air, and range from fat to muscle, in any CT [HU]."""
+"""Range of air (`AIR_HU`), and range from fat to muscle (`SOFT_HU`), in any CT [HU]."""
 METAL_HU = 3000
 """Hounsfield units above which a voxel is metal. No tissue exceeds this value.
 
@@ -35,7 +35,9 @@ An image with air around a patient has a far larger share.
 """
 _LOWEST = -2000
 _HIGHEST = 20_000
-"""Limits of the histogram. Values outside the limits are counted in the first and the last bin.
+"""Upper limit of the histogram. `_LOWEST` is the lower limit.
+
+Values outside the limits are counted in the first and the last bin.
 
 The limits bound the size of the histogram. CT values lie inside the limits: air has -1000 HU, and
 metal has a few thousand HU.
@@ -46,18 +48,18 @@ _MAD = 0.6745
 """Median absolute deviation of a normal variable with a standard deviation of 1."""
 LOWEST_HU = 150.0
 HIGHEST_HU = 600.0
-"""Smallest and largest threshold of bone in common use.
+"""Smallest (`LOWEST_HU`) and largest threshold of bone in common use [HU].
 
 Common thresholds are 150 HU for osteoporotic bone, 226 HU as the default of several programs, and
 600 HU for cortical bone only.
 """
 _SOFT_PEAK_HU = (-50.0, 120.0)
-"""Range in which the most frequent value of soft tissue is searched.
+"""Range [HU] in which the most frequent value of soft tissue is searched.
 
 The range includes fat, and soft tissue with contrast medium.
 """
 _MOST_HU = 1600.0
-"""Upper limit of the values from which the threshold is computed.
+"""Upper limit [HU] of the values from which the threshold of bone is computed.
 
 Higher values, from enamel and metal, would raise the threshold.
 """
@@ -69,10 +71,11 @@ The value is larger than the rounding error of sums of up to 1e9 voxels.
 _NO_BONE = 0.1
 _LITTLE_BONE = 0.5
 _ALL_BONE = 0.8
-"""Limits for the share of a bone's label that is above the threshold of bone.
+"""Limits for the share of a bone's label with values above `LOWEST_HU`.
 
-The cortex is more than a tenth of any bone. If most of the label is marrow, more than half of the
-label may be below the threshold. An example is the humeral head of an old person.
+Below `_NO_BONE`, an error is raised, because the cortex is more than a tenth of any bone. Below
+`_LITTLE_BONE`, a warning is given, because the label may be mostly marrow, as in the humeral head
+of an old person. The message suggests a flip if the flipped label has a share above `_ALL_BONE`.
 """
 _FLIPS = ("left to right", "front to back", "head to feet")
 _SOFT_ORGAN_HU = (-200.0, 300.0)
@@ -137,14 +140,14 @@ class Inspection:
     lowest, highest
         Smallest and largest value.
     is_hounsfield
-        Whether the values may be Hounsfield units. This is true if air is about -1000, or soft
-        tissue is about 0 to 60.
+        Whether the values may be Hounsfield units. This is true if the lowest value is below -100,
+        and enough values lie in the range of air or in the range of soft tissue.
     noise
         Standard deviation of soft tissue, estimated from differences of neighbours, in units of the
         values; None without soft tissue. Noise that is correlated between neighbouring voxels is
         not included.
     metal_mm3, metal_mm
-        Volume above 3000 HU [mm3] and its centre [mm, LPS]; None without metal.
+        Volume above 3000 HU [mm3], and its centre [mm, LPS]; 0 and None without metal.
     padding
         Share of voxels with the lowest value if this value is below air; otherwise 0.
     """
@@ -278,7 +281,7 @@ def suggest_threshold(histogram: Histogram, *, is_hounsfield: bool) -> tuple[flo
     Otsu's criterion determines the threshold between soft tissue and bone.
 
     For Hounsfield units, only values above soft tissue are used, and the threshold is limited to
-    150 to 600 HU.
+    150 to 600 HU. If no soft tissue is found, the threshold is 226 HU.
     """
     values = histogram.values.astype(np.float64)
     counts = histogram.counts.astype(np.float64)

@@ -15,7 +15,7 @@ from meshes.images.data import first_bytes
 from meshes.images.text_headers import header_lines
 
 MOST_LABELS = 2**31 - 1
-"""Largest number of a label."""
+"""Largest valid label number."""
 _HEADER_BYTES = 1 << 20
 """Number of bytes of a NIfTI file that are searched for a label table.
 
@@ -49,8 +49,7 @@ class Segment:
 
 
 def apart(segments: Sequence[Segment]) -> dict[int, str]:
-    """Return a dictionary from segment number to name; a name that occurs repeatedly is followed by
-    the body side.
+    """Return a dictionary from segment number to name.
 
     If several segments have the same name, the body side from the file is appended to this name.
     """
@@ -131,8 +130,8 @@ def header_names(path: Path) -> dict[int, str]:
 def slicer_segments(path: Path) -> list[Segment]:
     """Return the segments that 3D Slicer listed in the header of a NRRD file.
 
-    In files with several layers, two segments may have the same value. Segments are therefore
-    numbered from 1.
+    In a file with several layers, two segments may have the same value. The segments of such a file
+    are therefore numbered from 1.
     """
     if not path.name.lower().endswith((".nrrd", ".nhdr")):
         return []

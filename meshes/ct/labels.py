@@ -69,7 +69,7 @@ class Labels:
     overlaps: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
 
     def number(self, name: str) -> int:
-        """Return the number of a label.
+        """Return the number of a label. `name` may also be this number, as text.
 
         Raises
         ------
@@ -269,7 +269,7 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
 
     Labels on the same grid are returned unchanged. If the voxel centres of labels and image
     coincide, the labels are cropped or padded. Otherwise, each voxel of the image gets the nearest
-    label, and a note is added.
+    label, and a note is added. If all labels lie outside the image, an InputError is raised.
     """
     from scipy.ndimage import affine_transform
 

@@ -154,7 +154,7 @@ def _refined(values: Numbers, from_mm: tuple[float, float, float], to_mm: float)
 
 
 def _averaged(values: Singles, axis: int, ratio: float) -> Singles:
-    """Average groups of `ratio` consecutive voxels along an axis. The ratio may be a fraction.
+    """Average groups of `ratio` consecutive voxels along an axis. The ratio need not be an integer.
 
     The weight of a voxel is the fraction of the voxel that lies in the group. With a ratio of 1,
     the values are returned unchanged.

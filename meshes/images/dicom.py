@@ -33,7 +33,10 @@ _INVERTED = "MONOCHROME1"
 """Photometric interpretation in which low values are displayed as white."""
 _GREY = ("MONOCHROME2", _INVERTED)
 _THICK_MM = 3.0
-"""Slice thickness [mm] from which a note is written. Most cortices are thinner than this value."""
+"""Slice thickness [mm] from which a note on overlapping slices is written.
+
+Most cortices are thinner than this value.
+"""
 _THICKER = 1.05
 """Ratio of slice thickness to slice distance above which slices overlap.
 
@@ -149,9 +152,9 @@ def _of_one_series(
 
 
 def _series_number(frame: Frame) -> str:
-    """Return the number of a series.
+    """Return the number of a series, or "?" if the header does not contain a short integer.
 
-    The number must be a short integer, because messages must not contain other data from a header.
+    The number is shown in messages, and messages must not contain other data from a header.
     """
     try:
         number = int(frame.header["SeriesNumber"])

@@ -68,7 +68,7 @@ _READ = (
 )
 _SHARED = "SharedFunctionalGroupsSequence"
 _EACH = "PerFrameFunctionalGroupsSequence"
-"""Names of two header sequences of multi-frame files: for all frames together, and per frame."""
+"""Header sequences of multi-frame files: `_SHARED` for all frames together, `_EACH` per frame."""
 _MAGIC = b"DICM"
 _PREAMBLE = 128
 """Number of unused bytes at the start of a file, before `_MAGIC` (DICOM PS3.10, 7.1)."""
@@ -94,8 +94,8 @@ _MOST_FILES = 50_000
 _COARSEST_MM = 0.1
 """Upper limit [mm] of the rounding step that is assumed for a position in a header.
 
-The rounding step is one unit of the last decimal. It is limited, because positions in whole
-millimetres are usually exact.
+The rounding step is one unit of the last decimal. A position in whole millimetres would have a step
+of 1 mm, although it is usually exact.
 """
 _OTHER_OBJECTS = ("SEG", "RTSTRUCT", "RTPLAN", "RTDOSE", "SR", "PR", "KO", "REG", "DOC")
 """DICOM modalities without grey values. Exporters write such objects next to an image."""
@@ -265,7 +265,7 @@ def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
 
 
 def files_in(folder: Path) -> list[Path]:
-    """Return the sorted files in a folder and its subfolders, without files named as other types.
+    """Return the files in a folder and its subfolders, sorted, except those with non-DICOM names.
 
     Raises
     ------

@@ -20,7 +20,10 @@ _UNIT = 1e-3
 Values in headers are rounded.
 """
 _UNEVEN = 0.05
-"""Largest distance of a slice from its expected position in a stack, in slice spacings."""
+"""Largest distance of a slice from its expected position, in slice spacings.
+
+If `_ROUNDED` gives a larger distance, that distance is used.
+"""
 _ROUNDED = 0.75
 """Largest distance of a slice from its expected position, in units of the position's last decimal.
 
@@ -30,8 +33,8 @@ than a quarter of a unit.
 _MISSING = 0.4
 """Upper limit of the position tolerance that is derived from rounding, in slice spacings.
 
-The limit is below one half: if a slice is missing, other slices are half a spacing from their
-expected positions.
+The limit is below one half, because a missing slice can move its neighbours by half a spacing from
+their expected positions.
 """
 _TILT_DEG = 0.5
 """Tolerance between the stated tilt of the gantry and the tilt computed from positions [degrees].

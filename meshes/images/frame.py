@@ -25,13 +25,13 @@ _FARTHEST_VOXELS = 0.01
 With a larger deviation, an image is resampled.
 """
 _FLATTEST = 1e-3
-"""Tolerance of the length of direction vectors, and smallest valid determinant of three vectors.
+"""Tolerance for the unit length of direction vectors, and smallest valid determinant.
 
-If the determinant is smaller, the vectors lie nearly in a plane.
+If the determinant of the three vectors is smaller, the vectors lie nearly in a plane.
 """
 _LARGEST_MM = 10_000.0
 _SMALLEST_MM = 1e-5
-"""Limits of the voxel spacing [mm], from nanometres in microscopy to metres.
+"""Limits of the voxel spacing [mm]: `_LARGEST_MM` is 10 m, and `_SMALLEST_MM` is 10 nm.
 
 Values outside the limits occur only in damaged headers.
 """
@@ -49,9 +49,7 @@ The voxels take 4 GB as float32, and the splines take another 4 GB.
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """Grey values or labels on a regular grid along the axes of LPS, in mm.
-
-    The axes are +x left, +y back and +z head.
+    """Grey values or labels on a regular grid along LPS axes (+x left, +y back, +z head), in mm.
 
     The centre of voxel (i, j, k) is ``origin_mm + spacing_mm * (i, j, k)``, for any order and
     direction of the axes in the file. TIFF slices have no patient frame. For such images, x, y and
@@ -168,7 +166,7 @@ def along_lps(
 
 
 def _nearest_axes(directions: Array) -> tuple[int, ...]:
-    """Return for each LPS axis the array axis with the nearest direction, each array axis once."""
+    """Return the array axis along each LPS axis: the permutation with the smallest deviation."""
     return max(
         permutations(range(3)),
         key=lambda order: sum(abs(directions[k, order[k]]) for k in range(3)),
@@ -225,8 +223,9 @@ def _interpolated(
     """Interpolate grey values at the points `matrix @ index + offset` by cubic splines.
 
     Linear interpolation lowers the grey values of thin bone. In a CT, it moves 2 % of the bone
-    surface by more than half a voxel. With splines, only 0.2 % of the surface moves so far. Because
-    splines overshoot, the value at a point is limited to the range of the eight voxels around it.
+    surface by more than half a voxel. With splines, only 0.2 % of the surface moves by more than
+    half a voxel. Because splines overshoot, the value at a point is limited to the range of the
+    eight surrounding voxels.
     """
     from scipy.ndimage import maximum_filter, minimum_filter, spline_filter
 

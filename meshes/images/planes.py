@@ -18,7 +18,10 @@ _LOSSY = (".jpg", ".jpeg")
 _MIN_IS_WHITE = 0
 _PALETTE = 3
 _UNCOMPRESSED = 1
-"""Values of the tags PhotometricInterpretation and Compression in the TIFF 6.0 standard."""
+"""Value of the tag Compression in the TIFF 6.0 standard.
+
+`_MIN_IS_WHITE` and `_PALETTE` are values of the tag PhotometricInterpretation.
+"""
 _GREY = (0.2126, 0.7152, 0.0722)
 """Weights of red, green and blue in the brightness of a colour (ITU-R BT.709)."""
 _MODES = {
@@ -36,7 +39,7 @@ _MODES = {
 """Type and number of samples of a pixel, by Pillow mode."""
 _EXPORT = "export the slice as grey values"
 _MOST_COLOURS = 1000
-"""Largest number of colours in an image whose colours are interpreted as labels.
+"""Largest number of colours in an image whose colours can be labels.
 
 Photographs and shaded pictures contain more colours.
 """
@@ -123,7 +126,7 @@ def read_planes(
 
 
 def _require_alike(files: Sequence[Path], planes: Sequence[_Planes]) -> None:
-    """Raise an error if the planes of a file differ in size or type from the first file."""
+    """Raise an error if a file's planes differ in size or type from those of the first file."""
     first = planes[0]
     for file, other in zip(files, planes, strict=True):
         if other.shape[1:3] != first.shape[1:3]:
@@ -150,8 +153,8 @@ def _without_colour(
 
     Return the values, the names of the labels, and a note.
 
-    Labels have one name for each colour. If a pixel has two or four samples, the last sample is the
-    opacity. Transparent pixels become black.
+    For labels, each colour except black becomes a number with its own name. If a pixel has two or
+    four samples, the last sample is the opacity. Transparent pixels become black.
     """
     samples = values.shape[-1]
     if samples in (2, 4):

@@ -101,7 +101,7 @@ def numbers(fields: Fields, key: str, path: Path, *, positive: bool = False) -> 
 def _stated(
     fields: Fields, keys: Sequence[str], absent: Array, path: Path, *, positive: bool = False
 ) -> Array:
-    """Return the numbers of the first of `keys` that is in the header, or the default `absent`."""
+    """Return the numbers of the first key in `keys` that the header has, or else `absent`."""
     key = next((key for key in keys if key in fields), "")
     found = numbers(fields, key, path, positive=positive)
     if found is None:
@@ -181,7 +181,8 @@ _SPACINGS = ("elementspacing", "elementsize")
 _ALONG_LPS = ("RAI", "???")
 """MetaImage codes that mean LPS axes.
 
-The letters state where an axis starts: right, anterior or inferior.
+The letters of RAI state where the axes start: right, anterior and inferior. Question marks mean
+that the code is not stated.
 """
 
 

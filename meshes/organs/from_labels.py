@@ -37,7 +37,7 @@ from meshes.voxels.label_shares import spread_labels
 from meshes.voxels.mesh_sampling import nearest_on_triangles
 
 _PER_RADIUS = 1.0 / 3.0
-"""Standard deviation of the smoothing / radius of the largest ball in the label.
+"""Ratio of the standard deviation of the smoothing to the radius of the largest ball in the label.
 
 On ellipsoids, smaller values leave voxel steps, and larger values round off the shape.
 """
@@ -47,20 +47,19 @@ _DEVIATIONS = (1.0, 2.0)
 With more than 2 voxels of usual size, the thin edge of an organ is lost.
 """
 _REACH = 4.0
-"""Distance beyond a label up to which its smoothed mask is computed, in standard deviations."""
+"""Distance from a label up to which its smoothed mask is computed, in standard deviations."""
 _LEVELS = (0.25, 0.75)
-"""Limits for the level of the smoothed label whose level set is the organ's surface."""
+"""Smallest and largest level of the smoothed label at which the surface is extracted."""
 _SLOPE = -1.0
-"""First estimate of the derivative of the enclosed relative volume with respect to the level.
+"""First estimate of the derivative of the enclosed volume with respect to the level.
 
-Later estimates are slopes of secants.
+The volume is relative to the volume of the label's voxels. Later estimates are slopes of secants.
 """
 _TRIES = 6
 _CLOSE = 2e-4
-"""Largest number of levels that the search tries, and accepted relative volume error.
+"""Accepted relative volume error in the search for the level of a smoothed label's surface.
 
-The search looks for the level at which the smoothed label encloses the volume of the label's
-voxels.
+The surface should enclose the volume of the label's voxels. At most `_TRIES` levels are tried.
 """
 
 
@@ -131,18 +130,17 @@ def _level(smooth: Image, level: float) -> Triangles:
 _FEWEST_VOXELS = 64
 """Smallest number of voxels for which a surface is computed: a ball of 5 voxels in diameter."""
 _FLAT_END = 0.5
-"""Ratio of an organ's outermost to its largest voxel plane above which the end is flat.
+"""Ratio above which an organ's end is flat: voxels of the outermost plane / of the largest plane.
 
-The ratio compares the numbers of voxels in the two planes. A ball of nine voxel planes, whose end
-is round, has a ratio of 0.4.
+The planes are normal to an image axis. A ball of nine planes, whose end is round, has a ratio of
+0.4.
 """
 _BEYOND = 4
 """Number of voxels by which a part's label is extended outside the organ."""
 _ENVELOPE = 0.2
 """Further extension of a part's label outside the organ, relative to the tetrahedron edge.
 
-The extension is needed, because the meshing program fTetWild moves the organ's surface by up to
-half of it.
+The meshing program fTetWild moves the organ's surface by up to half of this extension.
 """
 
 
@@ -184,6 +182,9 @@ class LabelledOrgan:
         self, edge_mm: float | None = None, *, report: Progress = silent
     ) -> tuple[TetMesh, dict[str, str]]:
         """Return the mesh of the organ and its parts, in the image's frame, and notes by name.
+
+        `edge_mm` is the target edge of the tetrahedra [mm]. If None, it is the organ's longest side
+        divided by `FILL_EDGES`.
 
         Raises
         ------

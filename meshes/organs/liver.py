@@ -1,8 +1,8 @@
 """Procedural liver and block of soft tissue, with or without a stiff nodule.
 
-In the site frame of the liver, the origin is the top of the right lobe's dome. x points to the
-patient's left, y to the back, and z to the head. A tool that moves down from +z presses the
-diaphragmatic surface. M = from memory of the literature, not looked up.
+The origin of the liver's site frame is the top of the right lobe's dome. x points to the patient's
+left, y to the back, and z to the head. A tool that moves down from +z presses the diaphragmatic
+surface. M = from memory of the literature, not looked up.
 
 ==================  ================  ===================================================================
 width               222 mm            M: adult, 200-225 transverse (anatomy texts, Gray's Anatomy)
@@ -14,7 +14,7 @@ left lobe           22 %              M: 25-40 % of the volume, thinning to a we
 
 The shape is drawn with signed distances: a dome of two ellipsoids is cut by the inclined visceral
 plane. It has hollows for stomach, kidney and gall bladder, a groove for the vena cava and spine,
-and a notch for the round ligament. The mesh does not contain vessels and the capsule."""  # noqa: E501 a table
+and a notch for the round ligament. The mesh does not contain vessels or the capsule."""  # noqa: E501 a table
 
 import math
 from dataclasses import dataclass
@@ -41,17 +41,17 @@ from meshes.tets.tetrahedra import TetMesh
 _TOP_M = (-0.026, 0.0)
 """Position of the right lobe's dome, x and y [m], before the liver is moved to the site frame."""
 _SIZE = 0.94
-"""Scale factor with which the combined basic shapes have the sizes in the module docstring."""
+"""Scale factor of the combined basic shapes, chosen to give the sizes in the module docstring."""
 _TRIES = 4
 """Number of radii that are tried for a nodule with the required volume."""
 _NODULE_EDGES = 3.0
 _NODULE_GROWTH = 1.0
-"""Number of tetrahedron edges across a nodule, and growth of the edge length with distance.
+"""Number of tetrahedron edges across a nodule (`_NODULE_EDGES`), and growth of the edge length.
 
-The growth is the increase of the edge length per distance from the nodule. If edges were as long as
+The growth is the increase of the edge length per distance from the nodule. With edges as long as
 the nodule's radius, a nodule of 18 mm diameter would lose 13 % of its volume. The force on a tool
-above the nodule would then have an error of up to 2 %. This error is a fifth of the nodule's
-contribution to the force.
+above the nodule would then have an error of up to 2 %, a fifth of the nodule's contribution to the
+force.
 """
 _NEAR_M = 1e-5
 """Half the step [m] of the finite differences for the gradient of the signed distance."""
@@ -61,9 +61,9 @@ _PROJECTIONS = 4
 The signed distance of the liver is nearly exact, so each step squares the relative error.
 """
 _VISCERAL = (0.33, 0.10, -0.94)
-"""Outward direction of the visceral side, which is inclined towards the thin left lobe."""
+"""Outward normal of the visceral side. This side is inclined towards the thin left lobe."""
 LIVER_REGIONS = {"below": (_VISCERAL, 55.0), "back": ((0.0, 1.0, 0.0), 45.0)}
-"""Surfaces at which a liver may be fixed, by name: direction and angle [degrees].
+"""Direction and angle [degrees] of each surface at which a liver may be fixed, by name.
 
 A surface consists of the triangles whose normals deviate from the direction by at most the angle.
 
@@ -167,7 +167,7 @@ def slab(
 ) -> TetMesh:
     """Build a block of tissue, with the origin at the middle of its top face and z up.
 
-    The thickness of the layers increases from the top down.
+    The layers of cells become thicker from the top down.
 
     Parameters
     ----------

@@ -2,8 +2,9 @@
 
 Straight moves (G0, G1) and arcs (G2, G3) are read in all planes, units and distance modes. Commands
 (words) that do not move the tool, such as spindle speed, coolant and tool number, are ignored and
-listed in a note. Words that would change the motion, such as drilling cycles and cutter
-compensation, raise an error that names the word.
+listed in a note. Moves to machine positions, such as G28, are also left out and listed. Other words
+that would change the motion, such as drilling cycles and cutter compensation, raise an error that
+names the word.
 """
 
 import re
@@ -29,7 +30,7 @@ The controller TwinCAT 3 NC I also corrects differences of up to 0.1 mm by defau
 (centerpointCorrectionLimitSet).
 """
 _WIDEST_RAD = 0.25 * pi
-"""Largest angle of an arc segment that is replaced by a line [rad].
+"""Largest angle of an arc segment [rad]. Each segment is replaced by a line.
 
 This limit only matters for arcs with a radius of less than 0.13 mm.
 """
@@ -59,12 +60,12 @@ _SUBPROGRAMS = ("M97", "M98", "M99")
 """M words of subprograms, which may move the tool. All other M words are ignored."""
 _STILL_LETTERS = "STHDON"
 _HOME = ("G28", "G30", "G53")
-"""G words for moves to machine positions, which are unknown in the frame of the program."""
+"""G words for moves to machine positions. In the program's frame, these positions are unknown."""
 _END = ("M2", "M30")
 _PARAMETERS = {"G4": "PXU", "G64": "PQ"}
-"""Parameter letters of each G word that does not move the tool."""
+"""Letters of the parameters of each G word that has parameters but does not move the tool."""
 _PLANES = {"G17": ("X", "Y", "Z"), "G18": ("Z", "X", "Y"), "G19": ("Y", "Z", "X")}
-"""Axes by the G word of an arc's plane: two axes in the plane, and the axis of a helix."""
+"""Axes by the G word that selects an arc's plane: two axes in the plane, and the plane's normal."""
 _OFFSETS = {"X": "I", "Y": "J", "Z": "K"}
 
 
@@ -81,7 +82,7 @@ class Program:
     points_mm
         Points [mm] in the order of the program, in the frame of the program.
     feeds_mm_s
-        Speed [mm/s] with which each point is approached, NaN for rapid moves.
+        Speed of the move to each point [mm/s], NaN for rapid moves.
     """
 
     def __init__(self, file: Path) -> None:
@@ -106,7 +107,7 @@ class Program:
         self._line = 0
 
     def notes(self) -> tuple[str, ...]:
-        """Return notes on ignored words and on arcs replaced by lines, one sentence each."""
+        """Return notes on the unit, on ignored words and on replaced arcs, one sentence each."""
         found = []
         if not self._modes["unit"]:
             found.append("the program has neither G20 nor G21, so lengths are read in mm")
@@ -319,8 +320,8 @@ def read_gcode(file: Path) -> tuple[Array, Array, tuple[str, ...]]:
 
     Returns
     -------
-    Points [mm], shape (n, 3); speed [mm/s] with which each point is approached, shape (n,), NaN for
-    rapid moves; notes.
+    Points [mm], shape (n, 3); speed of the move to each point [mm/s], shape (n,), NaN for rapid
+    moves; notes.
 
     Raises
     ------

@@ -149,8 +149,8 @@ class PathDepth:
     Attributes
     ----------
     points_mm
-        Points [mm, LPS], shape (n, 3), along the path: the points of the path, and intermediate
-        points. They are at most 0.5 mm apart.
+        Points [mm, LPS], shape (n, 3): the points of the path, and intermediate points. Neighbours
+        are at most 0.5 mm apart, or farther on a path longer than 10 m.
     depth_mm
         Distance [mm], shape (n,), of each point from the bone's surface, positive inside the bone
         and negative outside.
@@ -301,7 +301,7 @@ A person turns a drill by a right angle in about a second.
 """
 _SAME_MM = 1e-6
 _SAME_RAD = 1e-6
-"""Smallest motion [mm] and smallest rotation [rad] for which a replay table has a new pose.
+"""Smallest rotation [rad], or motion `_SAME_MM` [mm], for which a replay table gets a new row.
 
 The times of a replay table must increase, and a motion of zero length takes no time.
 """
@@ -353,7 +353,7 @@ def to_replay(
     feed_mm_s
         Speed [mm/s] in the parts of the path for which the file states no speed.
     clearance_mm
-        Distance [mm] along the tool's axis at which the motion starts before the first point.
+        Distance [mm] of the start of the motion from the first point, along the tool's axis.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Class for anatomies, which are shapes with layers, and a block of cortical bone.
+"""Class for anatomies (shapes with layers), and a function that builds a block of cortical bone.
 
 In the site frame of every anatomy, the origin is the centre of the working face on the bone
 surface, and +z is the outward normal at this point. The tool therefore moves along -z.
@@ -19,11 +19,10 @@ from meshes.shapes.sdf import Shape, box
 
 CORTICAL_KG_M3 = 1800.0
 TRABECULAR_KG_M3 = 350.0
-"""Apparent densities [kg/m3] of bones for which only surfaces are given.
+"""Apparent densities of cortical and trabecular bone [kg/m3], used if only surfaces are given.
 
 The cortical density is the same as in `meshes.surfaces.glenoid.GlenoidSizes`. The trabecular
-density lies between the two trabecular densities of `GlenoidSizes`. These apply deep in the vault
-and directly below the subchondral plate.
+density lies between the two densities that `GlenoidSizes` has for trabecular bone.
 """
 
 Classify = Callable[[Floats, Floats], tuple[Bytes, Floats]]

@@ -263,15 +263,14 @@ WANTED_M = 4e-6
 """Accepted distance of the triangles from the exact surface [m]."""
 FIRST_POINTS = 1e5
 MOST_POINTS = 1e6
-"""Numbers of points of the coarsest and of the finest lattice for the distance."""
+"""Largest number of lattice points. The first lattice has `FIRST_POINTS` points."""
 ROUNDS = 3
 """Largest number of lattices on which the distance is evaluated, each finer than the one before.
 
-The error of the triangles is measured on the first lattice. The spacing of the second lattice is
-computed from this error, such that the error should be small enough.
+The spacing of the next lattice is computed from the error of the triangles on the last lattice.
 """
 DOUBLINGS = 12
-"""Largest number of times that the search region is enlarged, by at most a factor of two each."""
+"""Largest number of enlargements of the search region, each by a factor of at most two."""
 STEP_M = 1e-6
 """Step [m] of the finite differences for the gradient of a signed distance."""
 
@@ -366,9 +365,9 @@ def _nearest(shape: Shape, low: Array, high: Array, middle: Array) -> float:
 
 
 def _contour(shape: Shape, low: Array, high: Array, spacing: float) -> tuple[Array, Ints, Flags]:
-    """Extract a closed mesh at distance 0, and flags of the vertices on the shape's surface.
+    """Return a closed mesh of the shape on a lattice, and flags of the vertices on its surface.
 
-    The vertices without a flag close the mesh where the lattice cuts off the shape.
+    The other vertices close the mesh where the lattice cuts off the shape.
     """
     from skimage.measure import marching_cubes
 
@@ -391,8 +390,8 @@ def _contour(shape: Shape, low: Array, high: Array, spacing: float) -> tuple[Arr
 def _slack(shape: Shape, vertices: Array, faces: Ints) -> float:
     """Compute the largest depth [m] of triangle centres and edges below the surface.
 
-    At concave edges, triangles lie outside the surface. At an outside point, the distance from the
-    triangles is then too small, which is the safe side.
+    Triangles that lie outside the surface, as at concave edges, are not counted. They make the
+    distance of an outside point too small, which is on the safe side.
     """
     corners = vertices[faces]
     points = np.concatenate(

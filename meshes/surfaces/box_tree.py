@@ -17,8 +17,8 @@ BISECTIONS = 2
 """Largest number of bisections of a triangle.
 
 The value limits the cost of a search for the smallest distance. For a 3.2 mm drill in a coaxial
-tube of 48 sides, the search evaluates 1,100 distance bounds. If all longer edges were bisected, the
-search would evaluate more than 20,000 bounds, because all parts of the facets are equally near.
+tube of 48 sides, the search evaluates 1,100 distance bounds. Without this limit, it would evaluate
+more than 20,000 bounds, because all parts of the facets are equally near to the drill.
 """
 _GRID = 1024
 """Number of cells along each axis in the grid of the Morton curve.

@@ -9,7 +9,7 @@ cuts after the cartilage has been removed.
 
 ========================  ==================  =====================================================================
 width x height            27.8 x 37.5 mm      M, M: Churchill 2001 (men; women 23.6 x 32.6)
-upper to lower width      0.80                M, M: Iannotti 1992, width half way up the upper half to the lower half's
+upper to lower width      0.80                M, M: Iannotti 1992, width at the middle of the upper half / full width
 radius of curvature       35 mm               M, M: McPherson 1997, 32.2 antero-posterior, 40.6 supero-inferior
 plate thickness           1.9 (1.2-2.9) mm    R, H: serial sections of six glenoids (Frich)
 plate pattern             ±25 %               L: thicker anterior and posterior (bicentric density, M Schulz 2002)
@@ -17,7 +17,7 @@ vault depth, taper        26 mm, 15 degrees   L: to the end of the cancellous va
 cortical wall             1.5 mm              L
 density cortical          1800 kg/m3          M, H
 density plate             1300 kg/m3          L: between cortical and dense trabecular bone
-density trabecular        450 to 300 kg/m3    L: falls below the plate over 5 mm (M Frich 1997: so does strength)
+density trabecular        450 to 300 kg/m3    L: decreases below the plate, decay length 5 mm (M Frich 1997)
 ========================  ==================  =====================================================================
 """  # noqa: E501 a table
 

@@ -197,11 +197,10 @@ def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSit
 def _glenoid_score(samples: SurfaceSamples, number: int, tree: "cKDTree") -> tuple[Array, float]:
     """Compute the smoothed normal at a sample point, and the similarity to a glenoid, 0 to 1.
 
-    The similarity is computed from the surface around the sample point.
-
-    The similarity is high if four conditions hold. The surface covers a disc with a radius of 10 mm
-    and has similar normals there. Beyond a radius of 20 mm, the surface lies more than 4 mm below
-    the disc in most directions. The bone behind the disc is thick. The disc is not convex.
+    The similarity is high if four conditions hold around the sample point. The surface covers a
+    disc with a radius of 10 mm and has similar normals there. Beyond a radius of 20 mm, the surface
+    lies more than 4 mm below the disc in most directions. The bone behind the disc is thick. The
+    disc is not convex.
     """
     point = samples.points[number]
     near = tree.query_ball_point(point, _REACH)

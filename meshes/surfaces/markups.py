@@ -124,7 +124,7 @@ def read_curve(path: str | Path) -> Array:
     Raises
     ------
     InputError
-        If the file cannot be read, or does not contain exactly one curve.
+        If the file cannot be read, or does not contain exactly one curve or point list.
     """
     found = read_markups(path)
     curves = [one for one in found if one.kind in _CURVES] or [

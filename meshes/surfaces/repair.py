@@ -27,7 +27,8 @@ from meshes.base.arrays import (
 def merge_vertices(vertices: Array, faces: Ints, tolerance: float) -> Triangles:
     """Merge vertices whose coordinates are equal after rounding to multiples of `tolerance`.
 
-    Degenerate triangles, duplicate triangles and pairs of opposite triangles are removed.
+    Unused vertices, degenerate triangles, duplicate triangles and pairs of opposite triangles are
+    removed.
     """
     vertices, faces = compact(vertices, faces)
     keys = _lattice_keys(vertices, tolerance)
@@ -96,8 +97,9 @@ def orient(vertices: Array, faces: Ints) -> tuple[Ints, int, int, float]:
     The function uses a graph with two nodes per triangle, one for the given and one for the
     reversed winding. If two triangles share an edge, the graph connects those nodes of the two
     triangles whose windings agree. Each connected component of the graph is a consistent
-    orientation of a set of triangles. A body with negative volume is reversed. A body within the
-    bounding box of another body is not reversed, because it may be a cavity.
+    orientation of a set of triangles. If the total volume is negative, the whole surface is
+    reversed. Then, each body whose volume is still negative is reversed. A body within the bounding
+    box of another body is not reversed, because it may be a cavity.
 
     Returns
     -------

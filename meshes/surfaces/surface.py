@@ -36,12 +36,15 @@ A cap is a face that closes a hole. The true shape of the bone at a cap is unkno
 the tool is near the cap.
 """
 _FLATTEST = 1e-3
-"""Ratio of the smallest to the largest spread of points below which the points lie in a plane."""
+"""Ratio of smallest to largest spread of points below which the points count as coplanar."""
 _FARTHEST = 1e100
 """Limit above which coordinates count as infinite. Squares of larger values may overflow."""
 _SMALLEST_MM = 1.0
 _LARGEST_MM = 1000.0
-"""Limits of a surface's longest side [mm] if the user gives a scale: bone chip to two femurs."""
+"""Limits of a surface's longest side [mm] if the user gives a scale.
+
+The limits, `_SMALLEST_MM` and `_LARGEST_MM`, allow a bone chip and twice the length of a femur.
+"""
 _UNITS = (("millimetres", 1.0, 5.0, 700.0), ("metres", 1000.0, 0.005, 0.7))
 """Units that can be guessed: name, length [mm], and range of a bone's longest side in this unit.
 
@@ -55,9 +58,9 @@ _USUAL_BONE_MM = (60.0, 600.0)
 If a size is unusual, a warning names the units in which the longest side would be in this range.
 """
 _RESOLVED_MM = 0.01
-"""Rounding error of coordinates [mm] above which a warning is given: 0.1 of the finest voxels."""
+"""Rounding error [mm] above which a warning is given: a tenth of the finest voxel size."""
 _TYPICAL_BONE_MM = 140.0
-"""Longest side [mm] of a bone after scaling by a suggested scale: the size of a scapula."""
+"""Longest side [mm] that a bone gets from a suggested scale, equal to the size of a scapula."""
 
 
 @dataclass(frozen=True)

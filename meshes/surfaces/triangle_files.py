@@ -17,7 +17,7 @@ from meshes.base.text_tables import number_in, whole_number_in
 SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 _HEADER = 84
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-"""Number of bytes before the triangles in a binary STL file, and record type of a triangle."""
+"""Size of the header of a binary STL file [byte] (`_HEADER`), and record type of a triangle."""
 _IGNORED = re.compile(
     "vt|vn|vp|p|l|g|s|mg|o|usemtl|mtllib|usemap|maplib|lod|bevel|c_interp|d_interp|shadow_obj|"
     "trace_obj|ctech|stech|call|csh|deg|bmat|step|cstype|curv|curv2|surf|parm|trim|hole|scrv|sp|"

@@ -31,11 +31,10 @@ from meshes.tets.tetrahedralise import tetrahedralise
 _ORGAN_MM = (20.0, 450.0)
 """Range of the longest side of an organ [mm], from a small gland to an enlarged liver.
 
-The range is narrow enough to determine the unit: no length is in the range both if it is read in
-millimetres and if it is read in metres.
+The range determines the unit, because no number is in this range both in millimetres and in metres.
 """
 _TYPICAL_MM = 200.0
-"""Longest side [mm] of an organ after scaling by a suggested scale: the size of a liver."""
+"""Longest side [mm] that an organ gets from a suggested scale, equal to the size of a liver."""
 _PER_UNIT = "use 1 for millimetres, 1000 for metres"
 _PART_ARRAYS = (
     "part",
@@ -48,10 +47,7 @@ _PART_ARRAYS = (
     "material",
     "label",
 )
-"""Names of integer cell arrays that may contain part numbers, the most probable name first.
-
-Meshing programs write arrays with these names.
-"""
+"""Names of cell arrays in which programs write part numbers, the most probable name first."""
 _SIZES_MM = (1.5, 1500.0)
 """Range of the longest side of a plausible organ [mm].
 
@@ -99,9 +95,9 @@ def read_tets(
 
     Gmsh text files of versions 1 and 2 (``.msh``) are read by `meshes.tets.msh`, other Gmsh files
     by meshio, and all other formats by pyvista. In a file with tetrahedra, other cells are ignored.
-    The part of each cell is read from an integer cell array with a usual name, such as
-    ``gmsh:physical``, ``part`` or ``region``. If the file has the field ``part_names``, it contains
-    the names of the part numbers 0, 1, ... in the array ``part``.
+    The part of each cell is read from a cell array with a usual name, such as ``gmsh:physical``,
+    ``part`` or ``region``. The field ``part_names``, if present, contains the names of the part
+    numbers 0, 1, ... in the array ``part``.
 
     Parameters
     ----------
@@ -120,8 +116,8 @@ def read_tets(
     Raises
     ------
     InputError
-        If the file is missing, empty or not readable, or does not contain a solid. Also raised if
-        the solid does not have the size of an organ in millimetres or metres.
+        If the file is missing, empty or not readable, or does not contain a solid. If `unit_mm` is
+        None, also raised if the solid does not have the size of an organ in millimetres or metres.
     """
     file = Path(path)
     stored = _read_stored(file)
@@ -271,7 +267,7 @@ def require_millimetres(name: str, points: Array, scale_mm: float | None) -> flo
     Raises
     ------
     InputError
-        If the size is not plausible. The message suggests a plausible scale.
+        If `scale_mm` is None and the size is not plausible. The message suggests a plausible scale.
     """
     if scale_mm is not None:
         return require_positive("scale_mm", scale_mm, _PER_UNIT)
@@ -330,7 +326,7 @@ def vtk_mesh(file: Path) -> Answer:
 
 
 def _of_grid(data: Any, source: str) -> StoredMesh:
-    """Return the tetrahedra of a pyvista dataset; the surface if it has no tetrahedra."""
+    """Return the tetrahedra of a pyvista dataset, or its surface if it has no tetrahedra."""
     kinds = np.asarray(getattr(data, "celltypes", ()))
     present = [kind for kind in (_TETRAHEDRON, _QUADRATIC_TETRAHEDRON) if kind in kinds]
     if not present:

@@ -58,7 +58,7 @@ class StoredMesh:
 
     @property
     def used(self) -> Array:
-        """Points, shape (k, 3), of the tetrahedra; of the triangles if there are no tetrahedra.
+        """Points of the tetrahedra, or of the triangles if there are no tetrahedra, shape (k, 3).
 
         A missing point, or a point that is not finite, raises an `InputError`.
         """

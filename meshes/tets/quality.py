@@ -4,17 +4,18 @@ Defects are found and repaired by the rules in the table. V is the volume of a c
 cannot be repaired, an error is raised.
 
 ==============  =====================================================  ================================================
-what            when                                                   rule
+defect          condition                                              repair
 ==============  =====================================================  ================================================
-coincident      nodes within 1e-9 of the longest side                  joined; cells that name a node twice are flat
-repeated        cells of the same four nodes                           one is kept
-inverted        volume negative, not flat                              turned; refused where cells then overlap
-flat            6 V below 1e-6 of the longest edge cubed               dropped at the surface where that leaves the mesh
-                                                                       whole; inside, its nodes are
-                                                                       moved; else refused
-debris          pieces linked by faces, below 1 % of the largest       dropped
-sliver          mean ratio below 0.1                                   inner nodes moved; the rest is kept, reported
-pinched edges   surface edges of more than two triangles               kept and reported
+coincident      nodes within 1e-9 of the longest side                  merged; a cell with a merged edge becomes flat
+repeated        cells of the same four nodes                           one cell is kept
+inverted        negative volume, not flat                              reversed; error if cells then overlap
+flat            6 V below 1e-6 of the longest edge cubed               removed at the surface if the mesh stays intact;
+                                                                       inside, nodes are moved; otherwise error
+debris          piece below 1 % of the largest piece's volume;         removed
+                pieces are connected by faces
+sliver          mean ratio below 0.1                                   inner nodes moved; the other slivers are kept
+                                                                       and reported
+pinched edge    surface edge of more than two triangles                kept and reported
 ==============  =====================================================  ================================================
 """  # noqa: E501 a table
 
@@ -59,7 +60,7 @@ further.
 """
 _FIRST_STEP = 0.25
 _SMALLEST_STEP = 0.004
-"""First and smallest step of the pattern search for a better node position.
+"""Step at which the pattern search for a better node position ends. It starts with `_FIRST_STEP`.
 
 The steps are 1/4, 1/8 ... 1/128 of the size of the cells around the node.
 """
@@ -225,7 +226,7 @@ def _flat_turned(nodes: Array, cells: Ints) -> Ints:
 def _whole(cells: Ints, keep: Flags) -> bool:
     """Return whether the mesh stays intact if only the cells flagged in `keep` remain.
 
-    A mesh is intact if its number of pieces is unchanged and no edge is pinched.
+    A mesh stays intact if the number of pieces and the number of pinched edges do not increase.
     """
     left = cells[keep]
     return pieces(left).max() <= pieces(cells).max() and (
@@ -311,8 +312,7 @@ def smooth(
 
     For each node, a pattern search maximises the smallest mean ratio of the cells around the node.
 
-    A move is accepted only if the worst cell around the node improves. After a move, no cell around
-    the node is worse than the worst cell before the move.
+    A move is accepted only if the worst cell around the node improves.
 
     Parameters
     ----------
@@ -353,7 +353,7 @@ def smooth(
 def _best_place(nodes: Array, star: Ints, node: int, enough: float) -> Array | None:
     """Find the position of a node that maximises the quality of the worst cell around the node.
 
-    The result is None if no cell around the node needs improvement.
+    The result is None if no cell around the node needs improvement, or no better position is found.
     """
     corners = nodes[star]
     slot = star == node

@@ -37,7 +37,7 @@ _MOST_BISECTED = 5_000_000
 For this number, the array of edges takes 0.5 GB, and sorting it takes several times as much memory.
 """
 _LEAST_VOLUME = 0.5
-"""Smallest accepted ratio of a tetrahedron's volume after a node is moved to that before.
+"""Smallest accepted volume of a tetrahedron after a move of a node, relative to the volume before.
 
 If the volume would become smaller, the node is not moved.
 """
@@ -170,12 +170,13 @@ EDGE_GROWTH = 0.5
 _EDGES = 3.0
 """Number of tetrahedron edges across an inclusion that is a ball.
 
-For a tube, the same rule gives two edges across the tube. This is enough if the elements have
-quadratic edges, which follow the curvature of the surface.
+The edge length is computed from the ratio of volume to area, see `with_inclusion`. A tube therefore
+gets two edges across. Two are enough for elements with quadratic edges, which follow a curved
+surface.
 """
 _TRIES = 4
 _CLOSE = 0.01
-"""Largest number of meshes that are tried for an inclusion, and accepted volume error.
+"""Number of meshes that are tried for an inclusion (`_TRIES`), and accepted volume error.
 
 The error is relative to the inclusion's volume. Of the meshes within this error, the mesh whose
 worst cell has the best quality is used. If no mesh is within the error, the mesh with the smallest

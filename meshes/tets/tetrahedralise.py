@@ -27,10 +27,12 @@ _CELLS = 30_000
 With this number, computing the compliance of 500 nodes takes 10 s.
 """
 _EDGE_PER_CELL = 2.7
-"""Target edge / cube root of the mean cell volume, measured for fTetWild on a liver."""
+"""Ratio of target edge to cube root of the mean cell volume, measured for fTetWild on a liver."""
 _ENVELOPE = 0.1
 _FARTHEST_M = 4e-4
-"""Distance by which fTetWild may move the surface: share of the edge, and upper limit [m].
+"""Largest distance [m] by which fTetWild may move the surface.
+
+The distance is `_ENVELOPE` times the edge if this product is smaller.
 
 The upper limit is smaller than the voxels of scans from which surfaces are made.
 """
@@ -45,7 +47,7 @@ their nodes are held fixed instead.
 _OFF = 1e-6
 """Relative volume error accepted after the moves. With a larger error, moves are discarded."""
 _LEAST_KEPT = 0.2
-"""Smallest accepted ratio of a tetrahedron's volume after a move to that before all moves."""
+"""Smallest accepted volume of a tetrahedron after a move, relative to its original volume."""
 
 
 def tetrahedralise(
@@ -136,9 +138,8 @@ def _filled(surface: Surface, edge: float, envelope: float) -> tuple[np.ndarray,
 def with_volume(mesh: TetMesh, volume_m3: float, *, within_m: float) -> TetMesh:
     """Move the mesh's surface along its normals so that the mesh has a given volume.
 
-    All surface nodes move by the same distance.
-
-    An exception are nodes of tetrahedra that would become too small. These nodes are not moved.
+    All surface nodes move by the same distance, except nodes of tetrahedra that would become too
+    small.
 
     Parameters
     ----------

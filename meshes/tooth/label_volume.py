@@ -37,9 +37,9 @@ CARIES_LABELS: Mapping[int, str] = {1: "caries", 2: "enamel", 3: "dentin"}
 """Default layer names of the labels, as in segmentations of carious extracted teeth."""
 
 _FINEST_DEFAULT_MM = 0.1
-"""Smallest default voxel size [mm]. In the voxels of a micro-CT, a tooth takes gigabytes."""
+"""Smallest default voxel size [mm]. With the voxel size of a micro-CT, a tooth takes gigabytes."""
 _CAVITY_M = 0.1e-3
-"""Size [m] of the voxels in which pulp and lesion are searched, equal to scenes' default."""
+"""Size [m] of the voxels in which pulp and lesion are searched, equal to the scenes' default."""
 _CAVITY_SAMPLES = 2
 """Number of sub-samples along a voxel edge in the search for the pulp cavity."""
 _SITE_POINTS = 200_000
@@ -114,8 +114,8 @@ class LabelledTooth:
             New voxel size [mm]. If None, the voxel size of the image is used, but at least 0.1 mm.
         region_m
             Corners [m] of the region with the smallest and the largest coordinates, in the site
-            frame. If None, the whole tooth is converted. The content of a voxel does not depend on
-            the region.
+            frame. If None, the whole tooth is converted. A voxel's content does not depend on the
+            region.
         remark
             Function that is called once for each assumption, finding or removed piece, with a
             sentence that describes it.

@@ -140,7 +140,7 @@ def measure_contact(solids: Mapping[str, Triangles]) -> tuple[Lattice, dict[str,
 
 
 def _listed(counts: Mapping[tuple[str, str], int]) -> str:
-    """Format the volume for each pair of layers, given as a number of lattice points."""
+    """Format the volume of each pair of layers. `counts` contains numbers of lattice points."""
     volumes = [
         f"{one} and {other} {_CUBE_MM3 * count:.3g} mm3"
         for (one, other), count in counts.items()
@@ -150,10 +150,10 @@ def _listed(counts: Mapping[tuple[str, str], int]) -> str:
 
 
 def _gaps(label: Bytes, names: list[str]) -> tuple[Bytes, dict[tuple[str, str], int]]:
-    """Return 1 plus the index of the layer to which each lattice point in a gap is assigned.
+    """Assign each lattice point in a gap to a layer.
 
-    Points outside gaps have the value 0. Also return the number of gap points for each pair of
-    layers.
+    Return an array with 1 plus the index of this layer, and 0 outside gaps. Also return the number
+    of gap points for each pair of layers.
     """
     pairs = [pair for pair in combinations(names, 2) if set(pair) in _TOUCHING]
     between = np.zeros_like(label)

@@ -51,9 +51,9 @@ if TYPE_CHECKING:
 
 _SAMPLE_PITCH_M = 0.1e-3
 _MOST_SAMPLES = 300_000
-"""Distance [m] between sample points of a layer's surface, and largest number of sample points.
+"""Largest number of sample points of a layer's surface. The points are `_SAMPLE_PITCH_M` apart.
 
-The largest number is enough for a surface of 30 cm2.
+The number is enough for a surface of 30 cm2.
 """
 _LESION_M = 0.15e-3
 """Edge [m] of the voxels in which a lesion is searched."""
@@ -63,7 +63,7 @@ _SOCKET_PITCH_M = 0.2e-3
 Around a root with a radius of 3 mm, the interpolation error is 2 um.
 """
 _FAR_M = 1.0
-"""Distance [m] that is assumed outside the table of socket distances, longer than any tooth."""
+"""Distance [m] that is returned outside the table of socket distances. No tooth is as long."""
 _MERGE_TOLERANCE_M = 1e-8
 """Largest distance [m] at which vertices of two surfaces are merged.
 
@@ -133,7 +133,8 @@ class LayeredSolid:
 
         A point in several layers belongs to the layer with the highest priority. A point outside
         all layers belongs to the layer to which its gap is assigned. A point outside layers and
-        gaps belongs to the bone if it lies in the socket, and otherwise to the nearest layer.
+        gaps belongs to the bone if it lies in the socket or is nearer to the socket than to all
+        layers. Otherwise, it belongs to the nearest layer.
         """
         layer = np.full(len(points), len(TOOTH_LAYERS), dtype=np.uint8)
         left = np.arange(len(points))
@@ -243,12 +244,12 @@ def layered_anatomy(
     """Build a tooth from one closed surface per layer, in the site frame of teeth.
 
     The long axis of the tooth passes through the middle of the enamel. The origin is the point
-    where this axis leaves the enamel. A thin bur that moves down this axis first touches the tooth
-    at the origin. z points from the roots to the crown. x points in the direction in which the
-    roots are wider. A voxel that contains parts of several layers is full, and belongs to the layer
-    at the voxel's centre. On average, the volume of each layer is therefore correct. An overlap of
-    two layers, or a gap between two layers, is assigned to the layer that comes first in
-    `meshes.tooth.layers.PRIORITY`.
+    where this axis leaves the enamel, or the dentin if the axis does not cross enamel. A thin bur
+    that moves down this axis first touches the tooth at the origin. z points from the roots to the
+    crown. x points in the direction in which the roots are wider. A voxel that contains parts of
+    several layers is full, and belongs to the layer at the voxel's centre. On average, the volume
+    of each layer is therefore correct. An overlap of two layers, or a gap between two layers, is
+    assigned to the layer that comes first in `meshes.tooth.layers.PRIORITY`.
 
     Parameters
     ----------
@@ -268,7 +269,7 @@ def layered_anatomy(
     InputError
         If a layer is unknown, enamel or dentin is missing, or the size is implausible for a tooth.
         Also raised if layers do not touch, the pulp lies outside the dentin, or `socket_mm` is
-        given without a ligament.
+        given without a ligament or with a bone surface.
     """
     require_known(surfaces, "surfaces")
     # 10 mm is more than the thickness of bone around a root.

@@ -55,13 +55,17 @@ PRIORITY = ("caries", "pulp", "enamel", "dentin", "ligament", "bone")
 
 _SOUND_KG_M3 = 2100.0
 _INFECTED_KG_M3 = 1300.0
-"""Densities [kg/m3] of dentin with the softness 0 and 1, see the table of the module docstring."""
+"""Density [kg/m3] of dentin with a softness of 1. For `_SOUND_KG_M3`, the softness is 0."""
 _POINTS_AT_ONCE = 1 << 17
 """Number of points evaluated at once. The coordinates take 3 MB, which fits in the cache."""
 _SMALLEST_MM = 5.0
 _LARGEST_MM = 40.0
 _TYPICAL_MM = 18.0
-"""Longest sides [mm] of three teeth: crown without roots, canine with root, and typical molar."""
+"""Longest side [mm] of a typical molar.
+
+The limits of a valid longest side, `_SMALLEST_MM` and `_LARGEST_MM`, correspond to a crown without
+roots and to a canine with its root.
+"""
 
 
 def caries_density(softness: Floats) -> Floats:
@@ -138,25 +142,25 @@ def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: floa
 _LEAST_RISE_M = 0.4e-3
 """Smallest distance [m] between the centres of enamel and dentin in a valid tooth.
 
-For comparison, the distance is 6.3 mm in the procedural molar, and 2.2 mm in the crown of this
-molar without roots.
+For comparison, the distance is 6.3 mm in the procedural molar, and 2.2 mm if the roots of this
+molar are removed.
 """
 _MOST_LEANING = math.cos(math.radians(25.0))
 """Cosine of the angle up to which a principal axis counts as the tooth's long axis.
 
 For comparison, the angle to the nearest principal axis is 0 degrees in the procedural molar, and 5
-degrees in the crown of this molar without roots.
+degrees if the roots of this molar are removed.
 """
 _SMOOTH_M = 0.3e-3
 _AROUND_M = 0.5e-3
-"""Standard deviation [m] for smoothing the outer surface, and radius [m] for averaging normals.
+"""Radius [m] for averaging normals. The surface is first smoothed over `_SMOOTH_M`.
 
 For comparison, the voxel size is 0.1 to 0.15 mm.
 """
 _BEYOND_M = 1.0e-3
 """Distance [m] beyond the nearest surface point at which the search for a site's origin ends."""
 _UPRIGHT = 0.7
-"""Cosine of an angle of 45 degrees between site normal and tooth axis.
+"""Cosine of 45 degrees, a limit for the angle between a site's normal and the tooth's axis.
 
 At larger angles, the site's y axis points to the crown. At smaller angles, the direction to the
 crown is too close to the normal.

@@ -118,7 +118,7 @@ def molar(**sizes_mm: float) -> Anatomy:
     The origin is the bottom of the central fossa on the enamel. A thin bur that moves down the
     tooth's long axis first touches the tooth at the origin. A ball burr that is wider than the
     fossa first touches the cusps, slightly above the origin. x points mesially, y buccally, and z
-    out of the tooth. The bur comes from +z, and the roots point to -z.
+    out of the tooth.
 
     Parameters
     ----------

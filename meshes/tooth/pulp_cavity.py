@@ -50,9 +50,9 @@ class PulpCavity:
 
     A void is the pulp cavity if it has a plausible volume, lies in dentin, and is closed except for
     apical foramina. Closed means that a ball with a diameter of more than 0.8 mm cannot enter the
-    void. It also means that all openings lie in the roots, with at most 1 mm2 each. Fissures,
-    grooves and clefts between roots are not pulp cavities, because they are open along their
-    length.
+    void. It also means that all openings lie in the roots, with at most 1 mm2 each. Openings in the
+    crown of up to 0.05 mm2 in total are ignored. Fissures, grooves and clefts between roots are not
+    pulp cavities, because they are open along their length.
 
     Attributes
     ----------
@@ -123,9 +123,9 @@ class PulpCavity:
         return cavity
 
     def holds(self, empty_m: Array) -> Flags:
-        """Return flags, shape (n,), of the points outside all layers that lie in the cavity.
+        """Return flags, shape (n,), of the points that lie in the cavity.
 
-        The points [m] have the shape (3, n).
+        The points [m], shape (3, n), must be outside all layers.
         """
         from scipy.ndimage import map_coordinates
 

@@ -56,7 +56,9 @@ _REACH_M = 75e-3
 
 @dataclass(frozen=True)
 class _HalfSizes:
-    """Sizes of a vertebra, divided by two [m]. Properties are points in the vertebral body's frame.
+    """Half of each size of a vertebra [m], and the pedicle angle [rad].
+
+    The properties are points and directions in the frame of the vertebral body.
 
     In this frame, x points left, y back and z up. The origin is the centre of the body.
     """

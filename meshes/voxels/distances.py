@@ -67,7 +67,7 @@ SURFACE_STEPS = 63
 SURFACE_ZERO = 128
 INSIDE = 2
 OUTSIDE = 254
-"""Stored values for points on the surface, deep inside and far outside (two or more voxels)."""
+"""Stored values on the surface (`SURFACE_ZERO`), and two or more voxels inside and outside."""
 _BISECTIONS = 14
 """Number of bisection steps in the search for the distance of a plane.
 
@@ -131,8 +131,7 @@ def carried_beyond(
 
 
 def surface_of_fractions(fraction: Bytes) -> Bytes:
-    """Compute the distances of voxels from the surface, in the stored form, from their filled
-    fractions.
+    """Compute the stored surface distance of each voxel from the voxels' filled fractions.
 
     The result is uint8, shape (nx, ny, nz).
 
@@ -140,9 +139,9 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
     gradient of the fractions. The part of the voxel behind the plane is equal to the filled
     fraction. The surface distance of a voxel is a weighted mean of the distances from the planes of
     nearby voxels. The space outside the array counts as empty. On a ball, the mean is smaller than
-    the true distance, but interpolation between voxel centres increases the distance. These two
-    opposite biases are each a twelfth of the sum of the principal curvatures. In the interpolated
-    surface, a quarter of one bias remains.
+    the true distance, but interpolation between voxel centres increases the distance. Each of these
+    two biases [voxel] is a twelfth of the sum of the principal curvatures [1/voxel]. After
+    interpolation, a quarter of one bias remains.
     """
     from scipy.ndimage import binary_dilation, maximum_filter
 
@@ -218,10 +217,9 @@ def _outward(fraction: Bytes, at: Ints) -> Array:
 BOUNDARY_STEPS = 127
 """Number of stored steps per voxel of distance. Boundary distances are limited to two voxels."""
 FAR = 254
-"""Stored distance of voxels that are far from every boundary between layers.
+"""Stored distance of a voxel that is more than two voxels away from every boundary between layers.
 
-The voxel is more than two voxels away from every boundary. The value is also used if none of the
-cells with the voxel as a corner contains a boundary.
+The value is also used if no cell with the voxel as a corner contains a boundary.
 """
 _UNKNOWN = 255
 _PADDED = 2
@@ -233,7 +231,7 @@ _AT_ONCE = 1 << 18
 """Number of pairs (voxel, neighbour) that are summed at once. The pairs take a few MB."""
 _STRIDE = 0.5
 _HALVINGS = 5
-"""Step [voxel] of the search for a layer boundary along a direction, and number of bisections.
+"""Number of bisections in the search for a layer boundary, after steps of `_STRIDE` [voxel].
 
 The middle of the remaining interval has an error of up to 0.008 voxels. This is one step of the
 stored distance.
@@ -286,7 +284,7 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
 
 
 def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
-    """Compute the stored distance to the nearest boundary between layers from the voxels' layers.
+    """Compute the stored distance to the nearest layer boundary from the layer of each voxel.
 
     The mask of each layer is smoothed. The smoothed value (share) at a voxel is converted to the
     distance of the plane that would give this value. The distances are corrected such that each
@@ -375,7 +373,7 @@ def _toward_others(codes: Bytes, at: NDArray[np.intp]) -> Singles:
 
 
 def _strides(array: Bytes) -> Ints:
-    """Return for each axis the step of the flat index that is one step along the axis."""
+    """Return the change of the flat index for one step along each axis."""
     return np.array([array.shape[1] * array.shape[2], array.shape[2], 1])
 
 

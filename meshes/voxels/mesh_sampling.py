@@ -208,9 +208,9 @@ def _met(
     px: Array,
     py: Array,
 ) -> tuple[Flags, Array, Ints]:
-    """Return flags of the vertical lines through (px, py) that cross the paired triangle.
+    """Test whether the vertical line through (px[k], py[k]) crosses triangle ``triangle[k]``.
 
-    Also return the height and the sign (+1 entering) of the crossings.
+    Return flags, shape (n,), and the height and sign (+1 entering) of each crossing.
     """
     edge_normal = np.empty((3, len(triangle)))
     hit = np.ones(len(triangle), dtype=bool)
@@ -392,9 +392,10 @@ def refined(corners: Singles, step: int, *, axes: Iterable[int]) -> Singles:
 
 
 def _beyond(vertices: Array, faces: Ints, points: Floats, threshold: float) -> tuple[Flags, Flags]:
-    """Flag the points that are certainly farther from the triangles than a threshold [m].
+    """Return flags of the points that are certainly farther than `threshold` from the triangles.
 
-    Also flag the points that are certainly nearer. `points` has the shape (n, 3).
+    Also return flags of the points that are certainly nearer. `threshold` is in metres. `points`
+    has the shape (n, 3).
 
     The test only uses the distances from corners of triangles. Any point of a triangle has a corner
     within the longest side divided by the square root of three (Jung's theorem).

@@ -254,7 +254,7 @@ AROUND_VOXELS = 2
 _ROUNDING = 1e-6
 """Largest distance [voxel] of a corner from a grid line that counts as a rounding error."""
 _MAXIMUM_THREADS = 4
-"""Largest number of threads. It limits memory, because each thread stores points and distances."""
+"""Largest number of threads. Each thread needs memory for its points and distances."""
 _SAMPLED_BLOCKS = 4
 """Number of blocks along x per call of a sampler.
 

@@ -33,7 +33,7 @@ def fit(
     scene
         Name of a scene, or a TOML file, with the tissue and the tool of the measurement.
     measured
-        File of one of three kinds: text, .parquet, .h5, .mat or .npz. The first kind is a log of
+        File (text, .parquet, .h5, .mat or .npz) of one of three kinds. The first kind is a log of
         poses and forces over time, such as the trace of a run. The second kind is a table of steady
         loads of a drill with the columns thrust_N, torque_Nmm, feed_mm_min and spin_rpm; the fit
         then also reports which cutting laws are incompatible with the table. The third kind is a

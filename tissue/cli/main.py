@@ -264,13 +264,17 @@ def _usage(error: CycloptsError) -> str:
             hint = nearest(word, known) or _other_use(word, known)
             what = f"option must be one of {', '.join(known)}, got {word}{hint}"
         case MissingArgumentError(argument=argument) if argument is not None:
-            name = argument.name if argument.name.startswith("-") else argument.name.lower()
-            what = f"{name} must be given, got nothing"
+            name = argument.name
+            what = (
+                f"{name} is missing or has no value"
+                if name.startswith("-")
+                else f"the argument {name.upper()} is missing"
+            )
         case CoercionError(token=token, target_type=kind) if token is not None:
             noun = {int: "a whole number", float: "a number"}.get(kind or str, "readable")
             what = f"{token.keyword or 'value'} must be {noun}, got {token.value}"
         case UnusedCliTokensError(unused_tokens=[word, *_]):
-            what = f"{command} must be given nothing more, got {word}"
+            what = f"{command} takes no further argument, got {word}"
         case _:
             what = " ".join(str(error).split()).rstrip(".")
     return f"{what}. See `{command} --help`"
@@ -282,7 +286,7 @@ def _options(arguments: Iterable[Argument]) -> list[str]:
 
 
 def _other_use(word: str, known: list[str]) -> str:
-    """Return advice on an unknown option: a command that has it, or a scene key; else ""."""
+    """Return advice on an unknown option: a command with this option, or a scene key; else ""."""
     commands = [name for name in app if not name.startswith("-") and app[name].default_command]
     holders = [
         f"`tissue {name}`"

@@ -34,11 +34,10 @@ def assess(
     against
         Folder of the reference run.
     force_limit_n
-        Force that should not be exceeded, in newtons; default 1.25 times the peak force of the
-        reference run.
+        Largest allowed force, in newtons; default 1.25 times the peak force of the reference run.
     deviation_limit_mm
-        Distance from the path of the reference run that should not be exceeded, in mm; default 1.
-        It applies where the tool of either run touches the tissue.
+        Largest allowed distance from the path of the reference run, in mm; default 1. It applies
+        where the tool of either run touches the tissue.
     overshoot_limit_mm
         Largest allowed distance of the tip below the deepest point of the reference run, in mm;
         default 0.5.
@@ -90,8 +89,9 @@ def compare(
     out
         Folder for the picture and the table. Without this option, the results are only printed.
     over
-        Horizontal axis of the picture: time, or depth of the tool's tip below its first contact;
-        default depth if more than half of the path of each tool in contact leads into the tissue.
+        Horizontal axis of the picture: time, or depth of the tool's tip below its first contact.
+        The default is depth if, for every tool, the depth exceeds half of the tip's path in
+        contact.
     format_
         Format of the picture: png, svg or pdf; default png. Or format of one table with the traces
         of all runs: parquet, npz, mat or h5. May be repeated.
@@ -146,11 +146,11 @@ def report(
         Folder of a reference run. If it is given, the report also contains a comparison with this
         run, as `tissue assess` makes it.
     force_limit_n
-        With --against: force that should not be exceeded, in newtons; default 1.25 times the peak
-        force of the reference run.
+        With --against: largest allowed force, in newtons; default 1.25 times the peak force of the
+        reference run.
     deviation_limit_mm
-        With --against: distance from the path of the reference run that should not be exceeded, in
-        mm; default 1.
+        With --against: largest allowed distance from the path of the reference run, in mm; default
+        1.
     overshoot_limit_mm
         With --against: largest allowed distance of the tip below the deepest point of the reference
         run, in mm; default 0.5.

@@ -8,7 +8,7 @@ from tissue.cli.terminal import Flag, console, left_out
 
 
 def scenes(name: str | None = None, /, *, out: Path | None = None, overwrite: Flag = False) -> None:
-    """List the scenes that have names, or print one scene as TOML, to be copied and edited.
+    """List the scenes that can be used by name, or print one as TOML for copying and editing.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 study = App(
     name="study",
-    help="Compare methods of rendering force over many trials, and report what they show.",
+    help="Compare methods of force rendering in many simulated trials, and report the results.",
 )
 LINES_S = 60.0
 """Time between two printed lines of progress if the output is not a terminal [s]."""

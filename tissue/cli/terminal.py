@@ -55,7 +55,7 @@ MaybeWhole = Annotated[int | None, Parameter(converter=whole)]
 ADDRESS = {"hardware.address": "--address"}
 """Command-line options that replace scene keys in messages, keyed by scene key."""
 Numbers = Annotated[str | None, Parameter(allow_leading_hyphen=True)]
-"""Type of an option whose value is numbers separated by commas, also with a leading minus."""
+"""Type of an option with numbers separated by commas; the first number may be negative."""
 MemoryGB = Annotated[float | None, Parameter(name="--max-memory-GB")]
 
 

@@ -54,7 +54,7 @@ _SIDE_MM = (1.0, 1000.0)
 Outside this range, the unit of the spacing in the header is assumed to be wrong.
 """
 SHOWN_MM = 15.0
-"""Width of the surroundings shown in pictures, so that the other bone of a joint is visible."""
+"""Width of the surroundings in pictures [mm], in which the other bone of a joint is visible."""
 USUAL = {
     "glenoid": "glenoid",
     "vertebra": "pedicle",

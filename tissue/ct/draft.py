@@ -41,7 +41,7 @@ class Draft:
     sentences
         Description of the import for users.
     has_site
-        True if the scene contains the site that it needs, so that it can be run without changes.
+        True if the scene contains the site that is needed for a run, or needs no site.
     """
 
     scene: str
@@ -137,7 +137,7 @@ def _write_image(image: Image, path: Path, about: Mapping[str, str]) -> None:
 
 
 def scene_name(folder: Path) -> str:
-    """Return the name of the scene, which follows from the name of the output folder."""
+    """Return the name of the scene, derived from the name of the output folder."""
     plain = re.sub(r"[^a-z0-9_-]+", "-", folder.resolve().name.lower()).strip("-_")
     return plain or "imported"
 

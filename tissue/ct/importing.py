@@ -25,7 +25,7 @@ class Imported:
     scene
         File of the scene.
     has_site
-        True if the scene contains the site that it needs, so that it can be run without changes.
+        True if the scene contains the site that is needed for a run, or needs no site.
     sentences
         Results and assumptions.
     """
@@ -65,7 +65,7 @@ def import_ct(
     pictures
         If true, pictures are drawn.
     progress
-        Function that is called with a description of the current step.
+        Function that is called with the name of the current step and the completed share (0 to 1).
     **options
         Further options, listed below. The value None selects the default of an option.
 

@@ -41,7 +41,7 @@ MARGIN = 3
 The margin is needed for closed outlines, and it shows the surroundings in pictures.
 """
 FRONT = (0.0, -1.0, 0.0)
-"""Direction from an organ to the tool, in LPS: the front of a patient who lies on the back."""
+"""Direction from an organ to the tool, in LPS: towards the front of a patient on their back."""
 BALL_MM = 12.0
 DEPTH_MM = 4.0
 FEED_MM_S = 5.0

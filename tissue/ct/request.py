@@ -261,7 +261,7 @@ USUAL = (
     (r"humerus", "humeral-head"),
     (r"vertebra", "vertebra"),
 )
-"""Site that is searched by default, for a word in the name of the bone's label."""
+"""Pairs of a word in the name of the bone's label and the site that is searched by default."""
 JOINTS_MM = {"glenoid": 18.0, "femoral-head": 20.0, "humeral-head": 18.0}
 """Distance from the site, perpendicular to its normal, up to which a surface is articular [mm].
 
@@ -275,14 +275,14 @@ KEYS = {
     "anatomy.scale_mm": "spacing in the header",
     "file": "source",
 }
-"""Option of an import that corresponds to a key of a scene."""
+"""Options of an import that correspond to scene keys, keyed by scene key."""
 FEED_MM_S = 2.0
 """Feed [mm/s] of a path without a feed.
 
 The value lies between the feeds of reaming (0.5 mm/s) and milling (5 mm/s) in the built-in scenes.
 """
 CLEARANCE_MM = 5.0
-"""Distance outside the first point of a path at which the motion of the tool begins.
+"""Distance along the tool's axis from the tool's start to the first point of a path [mm].
 
 A tool that begins inside bone would remove the covered bone without a force.
 """

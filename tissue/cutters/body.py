@@ -98,9 +98,9 @@ The error is the distance by which a ball of the true axis extends beyond this u
 STRAIGHT_M = 1e-6
 """Largest deviation of the polylines from the true medial axis [m].
 
-The deviation is measured in the space of radius, height and ball radius. The value is a fourth of
-`MEDIAL_TOLERANCE_M`. A ball extends beyond the union by at most twice the deviation, and the two
-steps of sampling and merging each add one deviation.
+The deviation is measured in the space of radius, height and ball radius. Sampling and merging of
+the polylines each add one such deviation. A ball extends beyond the union by at most twice their
+sum, which is `MEDIAL_TOLERANCE_M`.
 """
 FIRST_SAMPLES = 9
 HALVINGS = 26

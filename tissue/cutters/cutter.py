@@ -78,7 +78,7 @@ class PointShell:
 class DistanceTable:
     """Signed distance [voxel] as a function of radius and height [voxel].
 
-    The arrays are used by :class:`kernels.revolution.Revolution`.
+    The arrays are used by `kernels.revolution.Revolution`.
     """
 
     distance: Singles

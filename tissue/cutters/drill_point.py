@@ -8,7 +8,7 @@ friction angle b and the rake a, the forces per chip section are::
 
     K_t = 2 k cos(b - a) / (1 - sin(b - a)),    K_r = 2 k sin(b - a) / (1 - sin(b - a))
 
-k is the yield stress in shear. It cancels in the ratios to the reference rake.
+Here k is the yield stress in shear, which cancels in the ratios to the reference rake.
 
 Chisel edge: indentation of a rigid-plastic solid by a wedge with half angle t (Hill, Lee and Tupper
 1947, doi 10.1098/rspa.1947.0009). The pressure 2 k (1 + s) acts on the width h tan(t) of the wedge

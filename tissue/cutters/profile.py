@@ -17,7 +17,7 @@ from meshes.base.hints import suggests_arguments
 from tissue.cutters.drill_point import DrillPoint
 
 SMOOTH = 0.999
-"""Cosine of the angle between normals above which an outline counts as smooth; chosen."""
+"""Cosine of the angle between normals above which an outline counts as smooth (judgement)."""
 WEB = 0.18
 """Usual thickness of a twist drill's web, relative to its diameter; drills have 0.12 to 0.23."""
 HELIX_RAD = radians(30.0)

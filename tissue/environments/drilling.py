@@ -28,7 +28,7 @@ SPIN_RPM = 400_000.0
 HAND_KG = 0.1
 """Mass that moves with the bur [kg]: handpiece and part of the hand.
 
-A handpiece has 0.06 to 0.1 kg (manufacturers' data, from memory).
+A handpiece has 0.06 to 0.1 kg (manufacturers' data, quoted from memory).
 """
 TOP_SPEED_M_S = 1e-2
 """Largest speed of the bur [m/s]: 0.01 mm per tick, a fifth of a voxel."""
@@ -41,7 +41,7 @@ The bur counts as withdrawn at the same distance.
 INTO_DENTIN_M = 5e-4
 """Target depth below the junction of enamel and dentin [m].
 
-The base of a cavity lies 0.2 to 0.5 mm below the junction (from memory).
+The base of a cavity lies 0.2 to 0.5 mm below the junction (quoted from memory).
 """
 TOO_DEEP_M = 1e-3
 """Distance below the target depth at which an episode ends without success [m].

@@ -65,7 +65,7 @@ class Milling(BoneEnvironment):
 
     ``reward_terms`` contains the two parts of the potential as ``progress`` and ``overcut``. The
     score is the sum of rewards in an episode. It is at most 1; without any action it is -0.1. An
-    episode ends when 99 % of the target are removed, and is truncated after 12 s. Force above 20 N
+    episode ends when 99 % of the target is removed, and is truncated after 12 s. Force above 20 N
     reduces the reward.
 
     Parameters

@@ -35,10 +35,10 @@ from tissue.simulation.trace import Table
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[+-]\d+)?")
 """Number without sign in a sentence about a run."""
 GAP_S = 0.15
-"""Longest time [s] between two exceeded limits that count as one; a period of slow tremor.
+"""Longest time [s] between two exceedances of a limit that count as one.
 
-Without this rule, a trembling hand near a limit would exceed the limit once in each period of the
-tremor.
+The value is a period of slow tremor. Without this rule, a trembling hand near a limit would exceed
+the limit once in each period.
 """
 FORCE_MARGIN = 1.25
 """Default limit of the trainee's force, divided by the peak force of the reference run.
@@ -102,7 +102,7 @@ class Quantity:
         shape (ticks,). NaN for ticks without such a place. None if the quantity has no value in the
         reference run.
     limited
-        True for ticks in which the limit applies, shape (ticks,). None if it applies in all ticks.
+        True for ticks in which the limit applies, shape (ticks,). None if all ticks have the limit.
     """
 
     what: str
@@ -149,7 +149,7 @@ class Assessment:
         Events that occur only in the trainee's run, each as a time [s] and a sentence. Two events
         count as equal if their sentences differ only in numbers.
     missing
-        Events that occur only in the reference run, as for `events`.
+        Events that occur only in the reference run, in the form of `events`.
     time_s
         Times of the trainee's ticks [s], shape (ticks,).
     deviation, force, depth
@@ -157,8 +157,8 @@ class Assessment:
         run, magnitude of the force [N], and depth [mm]. The depth is measured along the mean tool
         axis of the reference run, from the place of the first contact in that run.
     notes
-        One sentence for each difference between the two runs because of which `figures` cannot be
-        fully compared.
+        One sentence for each difference between the two runs that limits the comparison of
+        `figures`.
     unscored
         Reason why the run has no score. Empty if the run has a score.
     """
@@ -322,7 +322,7 @@ def _events_not_in(other: AssessedRun, run: AssessedRun) -> tuple[tuple[float, s
 def without_numbers(sentence: str) -> str:
     """Return a sentence with "…" for each number.
 
-    For example, the sentences of equal events in two runs differ only in their numbers.
+    Equal events of two runs then have equal sentences.
     """
     return NUMBER.sub("…", sentence)
 
@@ -359,7 +359,7 @@ def _steadiness(run: AssessedRun, trace: Table, scale: Materials) -> tuple[Stead
     """Return tremor and score of the hand in a run, or the reason why the run has no score.
 
     `scale` holds the constants of the reference run, which define the tremors with the scores 0 and
-    100. With changed constants of the trainee's run, the scale would differ.
+    100. The trainee's run may have other constants, which would change the scores.
     """
     if run.scene is None or run.scene.device is None or "device_x_mm" not in trace.columns:
         return None, "the run has no device whose constants are known"
@@ -377,9 +377,9 @@ def _steadiness(run: AssessedRun, trace: Table, scale: Materials) -> tuple[Stead
 
 
 def _drilling_ticks(scene: Scene, trace: Table) -> int:
-    """Return the number of ticks until the tip reaches `motion.depth_mm` under a thrust.
+    """Return the number of ticks until a tool pushed by a thrust reaches `motion.depth_mm`.
 
-    The hand of such a run then rests. For any other motion, all ticks are counted.
+    The hand rests afterwards. For any other motion, the number of all ticks is returned.
     """
     if not isinstance(scene.motion, ThrustMotion):
         return len(trace.rows)

@@ -133,9 +133,9 @@ class Ranking:
         Sentence with the reason for each run that is not ranked. For example, the run has another
         task than the reference run, or no score.
     notes
-        Sentences about differences from the scene of the reference run, and about runs that did
-        not finish their paths. Each sentence is the key of the names of the runs to which it
-        applies. Sentences that differ only in numbers are one sentence with ranges of the numbers.
+        Names of runs, keyed by a sentence. The sentence states a difference from the scene of the
+        reference run, or an unfinished path. Sentences that differ only in numbers are merged into
+        one sentence with ranges of the numbers.
     """
 
     scene: str
@@ -369,7 +369,7 @@ def write_ranking(found: Ranking, folder: Path, *, overwrite: bool) -> list[Path
 def _row(found: Ranking, place: int | None, person: Person, attempt: Attempt) -> dict[str, object]:
     """Return the table row of a run, keyed by the names of the columns.
 
-    `place` is None for a run without a score. Its rank, score and tremor are empty.
+    `place` is None for a run without a score. The rank, score and tremor of this run are empty.
     """
     hand = attempt.found.steadiness
     figures = attempt.found.figures

@@ -38,11 +38,11 @@ IDEAL_SHARE = 0.25
 """Weight of the ideal force in the training targets of predictors, if the tool does not cut.
 
 The ideal force is the force of a haptic loop without delay, encoder steps and filters. The weight
-was chosen in the scene ``needle``, by the excess error of predictions 4 ms ahead divided by the
-excess error of zero-order hold. This ratio is 0.80 with a weight of 0, 0.57 with 0.25, and 0.94
-with 0.5. With larger weights, the predicted force differs more from the measured force, and the
-guard of the predictor replaces it. For a cutting tool, the ideal force is not used: it belongs to
-another cut than the recorded force. In the scene ``caries``, it is a worse target.
+was chosen in the scene ``needle``. There, the excess error of predictions 4 ms ahead, relative to
+zero-order hold, is 0.80 with a weight of 0, 0.57 with 0.25, and 0.94 with 0.5. With larger weights,
+the predicted force differs more from the measured force, and the guard of the predictor replaces
+the prediction. For a cutting tool, the ideal force is not used, because it belongs to another cut
+than the recorded force. In the scene ``caries``, this target makes predictions worse.
 """
 DELAYS_MS = (0, 4, 8)
 """Latencies of the haptic loop [ms], which the training runs use in turn.
@@ -138,7 +138,7 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
         Latency [ms]. Default: the values of `DELAYS_MS` in turn.
     share
         Factor on the force of the tissue. If the force is linear in the moduli or in the cutting
-        coefficients, the factor has the same effect on these constants.
+        coefficients, the factor has the effect of scaling these constants.
     """
     delay = DELAYS_MS[index // len(GROUPS) % len(DELAYS_MS)] if delay_ms is None else delay_ms
     held = scene if scene.device is not None else changed(scene, {"device": "touch"})
@@ -216,7 +216,7 @@ class Recorder:
     def ideal_force_N(self, scene: Scene, run: Recording) -> Array:
         """Compute the ideal force [N] on the device path of a run, shape (n, 3).
 
-        The ideal force is that of a loop without delay, encoder steps and filters; see
+        The ideal force is the force of a loop without delay, encoder steps and filters; see
         `tissue.simulation.reference_force.ideal_force_N`.
 
         Parameters

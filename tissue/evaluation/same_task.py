@@ -1,4 +1,4 @@
-"""Run to be assessed, and check that it has the same task as a reference run."""
+"""Data of an assessed run, and check that the run has the task of a reference run."""
 
 import filecmp
 import tomllib
@@ -25,7 +25,7 @@ MAY_DIFFER = frozenset(
 ) | {"keep_clear.margin_mm"}
 """Keys in the scene parts of `TASK` that may differ between runs of one task, with a note.
 
-The keys of the organ are numerical. The margin only triggers an event.
+The organ keys belong to the numerical method. The margin only triggers an event.
 """
 FREE = ("name", "description", "seed", "device", "output", "fidelity")
 """Scene keys that may differ between a trainee's run and the reference run without a note.
@@ -36,9 +36,8 @@ coupling are reported by `coupling_notes`.
 FREE_TABLES = ("hands", "devices", "tooth")
 """Tables of constants that may differ between runs of the same task.
 
-These are the constants of the user, the device, and the computations of stress and heat, which do
-not change the force on the tool. All other constants that the tissue and the tool of the run use
-must be equal.
+These are the constants of the user and the device, and constants for stress and heat that do not
+change the force on the tool. All other constants of the tissue and the tool must be equal.
 """
 
 
@@ -173,7 +172,7 @@ def _differences(one: Scene, other: Scene) -> Iterator[tuple[str, object, object
 
 
 def _same_file(key: str, one: object, other: object) -> bool:
-    """Return whether a key names two files of the same name and content.
+    """Return whether the two values of a key are files with equal names and contents.
 
     If one of the files is not on this machine, only the names are compared. A trainee's run may
     come from another machine, on which the path of the anatomy file differs.

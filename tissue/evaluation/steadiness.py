@@ -65,8 +65,8 @@ class Steadiness:
     Attributes
     ----------
     tremor_mm
-        Root mean square [mm] of the intended hand motion between 8 and 12 Hz, all three axes
-        together: the quantile `QUANTILE` over time windows of the run.
+        Root mean square [mm] of the intended hand motion between 8 and 12 Hz, over all three axes.
+        The value is the quantile `QUANTILE` over the time windows of the run.
     score
         Score of the tremor: 0 for the tremor of a novice and 100 for the tremor of an expert, by
         the constants of hands.toml. The score is linear in the logarithm of the tremor, and may be
@@ -102,7 +102,7 @@ def steadiness(
     constants
         Constants of the hands, which define the assumed grip and the scale of the score.
     scored
-        Number of ticks, from the first, whose tremor is rated; default all. At least the first
+        Number of ticks from the start whose tremor is rated. Default: all ticks. At least the first
         second is rated.
 
     Raises

@@ -34,11 +34,11 @@ LEAST_TRIALS = 6
 MOST_TRIALS = 10_000
 """Largest number of recorded runs.
 
-The number is a hundred times that for the shipped predictors, and would take days. A larger number
-is assumed to be a typing error.
+This is a hundred times the number for the shipped predictors, and would take days to run. A larger
+number is assumed to be a typing error.
 """
 HELD_OUT = 4
-"""One of this number of runs is used for validation, the others for training.
+"""Number of successive runs of which one is used for validation, the others for training.
 
 Successive runs have hands of the three expertise groups in turn. Because 4 and 3 have no common
 factor, successive validation runs have different groups too.

@@ -43,12 +43,12 @@ from tissue.materials.elasticity import elasticity_rows, lame
 SOFTENED_RATIO = 1.0
 """Unsoftened part of the first Lame constant, divided by the shear modulus.
 
-The errors refer to a press above the nodule in the scene `palpation`. The excess is the additional
-force caused by the nodule. With mesh edges of 4 mm and a ratio of 1, the error is 2.5 % for the
-excess and -0.1 % for the force. With a ratio of 2, the errors are 3.5 % and +0.4 %. Without
-softening and with mesh edges of 5 mm, the errors are 10 % and 3.6 % (`python
-tests/bench/bench_nodule.py --parts meshes`). With a ratio of 0 and mesh edges of 5 mm, the
-displacement under Hertz's pressure is up to 5 % too large.
+In the scene `palpation`, a probe presses above a nodule, which adds an excess force. With mesh
+edges of 4 mm and a ratio of 1, the excess force has an error of 2.5 %, and the total force has an
+error of -0.1 %. With a ratio of 2, the errors are 3.5 % and +0.4 %. Without softening and with mesh
+edges of 5 mm, the errors are 10 % and 3.6 % (`python tests/bench/bench_nodule.py --parts meshes`).
+With a ratio of 0 and mesh edges of 5 mm, the displacement under Hertz's pressure is up to 5 % too
+large.
 """
 
 
@@ -59,10 +59,10 @@ def assemble(space: Space, elasticity: ArrayLike, *, softened: bool = False) -> 
     for any number of cores. The integrals over the cells are exact.
 
     Quadratic cells with straight edges lock if Poisson's ratio is near 0.5. Softened cells do not
-    lock. In these cells, the part of the first Lame constant above `SOFTENED_RATIO` times the shear
-    modulus resists only the mean change of the volume of a cell (mean dilatation: Nagtegaal, Parks
-    and Rice 1974, Comput. Methods Appl. Mech. Eng. 4:153). Cells with a Poisson's ratio of up to
-    1/4 are not softened.
+    lock. In softened cells, a part of the first Lame constant resists only the mean volume change
+    of the cell. It is the part above `SOFTENED_RATIO` times the shear modulus (mean dilatation:
+    Nagtegaal, Parks and Rice 1974, Comput. Methods Appl. Mech. Eng. 4:153). Cells with a Poisson's
+    ratio of up to 1/4 are not softened.
 
     Parameters
     ----------
@@ -99,8 +99,9 @@ def _softening(rows: Array) -> Array:
     """Return the part of the first Lame constant [Pa] that resists only a mean volume change.
 
     The result has one value for each row, shape (rows,). For a stiffness matrix C, the Lame
-    constants are derived from the bulk modulus under a uniform stress, 1 / (1 C^-1 1), and the
-    largest shear modulus. The softened matrices are still positive definite.
+    constants are derived from the largest shear modulus and from the bulk modulus under hydrostatic
+    stress. The bulk modulus is 1 / (v C^-1 v), with v = (1, 1, 1, 0, 0, 0). The softened matrices
+    are still positive definite.
     """
     if rows.ndim == 2:
         return np.maximum(rows[:, 0] - SOFTENED_RATIO * rows[:, 1], 0.0)

@@ -34,20 +34,23 @@ FIRST = 0.12
 """Edge of a cell on the axis at the surface, divided by the ball's radius.
 
 With 0.045 instead of 0.12, the forces at depths of 0.1 to 0.75 ball radii change by at most 0.3 %.
-With 0.18 they change by 1.3 %: `tests/verification/test_axisymmetric.py`.
+With 0.18 they change by 1.3 % (`tests/verification/test_axisymmetric.py`).
 """
 GROWTH = 1.22
 """Ratio of the lengths of neighbouring cells outside the contact."""
 CONTACT = 0.9
 """Radius within which the surface cells have equal length, divided by the ball's radius."""
 PENALTY = 100.0
-"""Contact stiffness per area, relative to shear modulus divided by surface cell length."""
+"""Contact stiffness per area, in units of shear modulus divided by surface cell length."""
 CORRECTIONS = 30
 """Largest number of corrections of the contact multipliers."""
 TOLERANCE = 1e-4
-"""Largest depth of a point in contact inside the ball, divided by the ball's radius."""
+"""Accepted penetration of a contact point into the ball, divided by the ball's radius."""
 TRUSTED = 1.5
-"""Upper limit of a contact pressure in the tangent, divided by the present multiplier."""
+"""Largest contact pressure that the tangent uses, divided by the present multiplier.
+
+A larger pressure is only a first guess and would make the tangent indefinite.
+"""
 REST = np.array([1.0, 0.0, 0.0, 1.0, 1.0])
 """Components rr, rz, zr, zz and hoop of the identity, the undeformed state."""
 NEWTON_STEPS = 40

@@ -11,7 +11,7 @@ from meshes.base.arrays import Array
 
 
 class SolverOutcome(Enum):
-    """Outcome of a solution. The value describes the cause of a failure and how to fix it."""
+    """Outcome of a solver. The text of a failure states its cause and how to fix it."""
 
     CONVERGED = "the displacement has converged within the tolerance"
     NOT_CONVERGED = (
@@ -76,7 +76,7 @@ class Iterate:
         Scalar products ``r . B r`` of the present and all earlier residuals r, with the
         preconditioner B.
     factors
-        Factors of the previous direction in the directions of all steps so far.
+        Factor of the previous direction in the direction of each step so far.
     lengths
         Step lengths of all steps so far.
     """

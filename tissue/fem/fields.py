@@ -79,7 +79,7 @@ class StressState:
 
 
 def von_mises(stress: Array) -> Array:
-    """Return the von Mises stress of stress tensors xx, yy, zz, yz, xz, xy, shape (n, 6)."""
+    """Return the von Mises stress, shape (n,), of tensors xx, yy, zz, yz, xz, xy, shape (n, 6)."""
     return np.sqrt(1.5) * deviator_norm(stress)
 
 

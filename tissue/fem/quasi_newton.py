@@ -7,9 +7,8 @@ therefore stay valid when the load changes. When an equilibrium needs many steps
 the present displacement is factorised.
 
 Springs may hold some nodes near prescribed displacements. The springs represent a rigid tool,
-because tissue that is pressed deeply may be stable only in contact with the tool. Under equal
-forces but without the tool, the tangent of the tissue is indefinite, and there is no equilibrium
-nearby.
+because tissue that is pressed deeply may be stable only in contact with the tool. If only the
+forces of the tool act on the tissue, its tangent is indefinite, and there is no equilibrium nearby.
 """
 
 from collections import deque

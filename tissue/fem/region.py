@@ -69,11 +69,14 @@ class RegionBody:
 
     Attributes
     ----------
-    nodes, all_nodes
-        Inner nodes of the region, shape (n,), and all nodes of the region, shape (r,), numbered as
-        in the body.
-    body, cells
-        Body of the region alone, and indices of its cells in the whole body.
+    nodes
+        Inner nodes of the region, numbered as in the body, shape (n,).
+    all_nodes
+        All nodes of the region, numbered as in the body, shape (r,).
+    body
+        Body that consists of the region alone.
+    cells
+        Indices of the region's cells in the whole body.
     nodes_m, fixed
         Positions [m], and mask of components with zero displacement, each of shape (n + p, 3). Each
         of the last p rows represents three modes. The positions in these rows are not used.
@@ -163,7 +166,7 @@ class RegionBody:
     def linear_difference_N(self, unknowns_m: Array) -> Array:
         """Return forces of the linear law minus forces of `law` on `all_nodes` [N], shape (r, 3).
 
-        A linear body under this additional load has the displacement of this body.
+        A linear body with these additional forces has the same displacement as this body.
         """
         moved = self.nodal_m(unknowns_m)
         linear = self.body.stiffness(np.zeros_like(moved)) @ moved.ravel()

@@ -15,8 +15,8 @@ The block pattern contains the positions of the 3x3 blocks in an assembled matri
 that contribute to each block.
 
 Pairs of nodes are grouped by two stable counting sorts, whose time is linear in the number of
-pairs. SciPy's conversion of a compressed row to columns is such a sort. The block of each pair is
-summed once, with the lower node first. The mirrored block is copied.
+pairs. SciPy's conversion from compressed rows to compressed columns is such a sort. The block of
+each pair is summed once, with the lower node first. The mirrored block is copied.
 """
 
 from dataclasses import dataclass
@@ -46,11 +46,12 @@ class Pattern:
     pair_start
         Index in `contribution` of the first contribution to each pair of nodes, shape (p + 1,).
     contribution
-        Number of each contribution, shape (c,): cell index times number of pairs in a cell, plus
+        Code of each contribution, shape (c,): cell index times number of pairs in a cell, plus
         index of the pair in the cell. The contributions to a pair are in the order of cells. If the
         pair is reversed in its cell, the bitwise complement is stored.
     place
-        Index of the block of each pair, shape (p,). Its row is the lower node of the pair.
+        Index of the block of each pair, shape (p,). The block lies in the row of the lower node of
+        the pair.
     mirror
         Index of the transposed block of each pair, shape (p,); equal to `place` on the diagonal.
     """
@@ -296,7 +297,7 @@ class Space:
     def gradients(self) -> tuple[wp.array[object], wp.array[object]]:
         """Gradients of the barycentric coordinates [1/m] and volumes [m3] on the device.
 
-        The gradients are vectors of shape (m, 4), the volumes have shape (m,).
+        The gradients are an array of vectors, shape (m, 4), and the volumes have shape (m,).
         """
         count = self.cell_count
         outputs = [

@@ -145,7 +145,7 @@ class SceneFit(Fitted):
 
     @property
     def size(self) -> dict[str, float]:
-        """Time over which samples were averaged [s]."""
+        """Time over which samples were averaged [s], keyed by ``block_s``."""
         return {"block_s": self.block_s}
 
     @property

@@ -34,10 +34,10 @@ The eigenvectors are those of the log's information. Each one has length 1 and a
 constant. A component below 0.1 adds less than 1 % to the squared length.
 """
 ALONE = 0.95
-"""Squared component of an eigenvector above which it is reported as a single constant.
+"""Squared component above which an eigenvector is reported as the constant of this component.
 
-The constant is the one that the component belongs to. Other eigenvectors of the log's information
-that are determined are reported as combinations of constants.
+The eigenvectors are those of the log's information. If no component exceeds the limit, a determined
+eigenvector is reported as a combination of constants.
 """
 BETTER = 0.5
 """Ratio of standard deviations below which a combination counts as better known than its constants.
@@ -66,8 +66,9 @@ class Combination:
         Standard deviation of the combination after the fit, divided by its standard deviation
         before the fit.
     of
-        Function that returns the value of the combination for all constants in their own units,
-        shape (p,), without the approximation by a weighted sum. It uses only the named constants.
+        Function that returns the exact value of the combination, which the weighted sum
+        approximates. Its argument holds all constants in their own units, shape (p,). Only the
+        named constants change the value.
     """
 
     weights: dict[str, float]
@@ -121,8 +122,8 @@ def identified(posterior: Posterior) -> Identified:
     Let z be the constants transformed so that their prior is standard normal. The combinations
     follow from the eigenvectors of the Fisher information that the log gives about z if the
     nuisance parameters are unknown too. Each eigenvector is the gradient of a weighted mean of the
-    loads with respect to z. A combination is evaluated as this mean and not as a weighted sum of z,
-    because the gradient may change along a curve on which the mean is constant.
+    loads with respect to z. A combination is this mean, not a weighted sum of z, because the
+    gradient may change along a curve on which the mean is constant.
     """
     target = posterior.target
     contraction = posterior.spreads
@@ -147,10 +148,10 @@ def identified(posterior: Posterior) -> Identified:
 
 
 def _separated(target: Target, u: Array, noise: Unpacked) -> tuple[Array, Array]:
-    """Return the whitened derivatives of the loads by z, and the part that only z can explain.
+    """Return the whitened derivatives dL/dz of the loads L, and the part that only z can explain.
 
-    Without priors of the clock offset and the biases, this part would be orthogonal to the
-    derivatives by the offset and the biases. Both results have the shape (m * channels, p).
+    This part excludes load changes that the clock offset and the biases can also explain, within
+    their priors. Both results have the shape (m * channels, p).
     """
     columns = target.whitened(target.linearised(u)[1], noise)
     of_z = columns[:, : target.constants]

@@ -6,9 +6,9 @@ of the rows, the sum of squared errors has a chi-square distribution. The number
 freedom is the number of loads minus the number of constants. Constants at their lower limit of 0
 are not counted.
 
-A second misfit uses the cited ranges as priors. This misfit is the
-smallest value of a sum: the squared errors of the loads plus the squared standard normal numbers of
-the constants. In a linear problem, it has as many degrees of freedom as there are loads.
+A second misfit uses the cited ranges as priors. This misfit is the smallest value of a sum: the
+squared errors of the loads plus the squared standard normal numbers of the constants. In a linear
+problem, it has as many degrees of freedom as there are loads.
 """
 
 from collections.abc import Sequence
@@ -63,10 +63,13 @@ class LawMisfit:
         Number of constants of the maximum-likelihood fit, without the scatter.
     size_exponent
         Exponent m of the maximum-likelihood fit; 0 for the linear law.
-    chi_square, freedom, p
-        Sum of squared errors of the maximum-likelihood fit relative to the scatter, its degrees of
-        freedom, and the probability of a larger sum. `chi_square` and `p` are None without a
-        scatter; `p` is also None without degrees of freedom.
+    chi_square
+        Sum of squared errors of the maximum-likelihood fit relative to the scatter. None without a
+        scatter.
+    freedom
+        Degrees of freedom of `chi_square`.
+    p
+        Probability of a larger `chi_square`. None without a scatter or without degrees of freedom.
     aic
         Akaike's information criterion, up to a constant that all laws of a table share. None if the
         table has no scatter and has so few rows that the law could fit one load exactly.
@@ -262,11 +265,9 @@ class MaximumLikelihood:
         return float(len(rows) * np.log(variances).sum()), found
 
     def _design(self, exponent: float) -> Array:
-        """Return the derivatives, shape (channels, n, 2), of the scaled loads by the coefficients.
+        """Return the derivatives of loads with respect to coefficients, shape (channels, n, 2).
 
-        The loads are divided by their units.
-
-        The coefficients are in units of `TYPICAL`.
+        The loads are divided by their units. The coefficients are in units of `TYPICAL`.
         """
         if exponent not in self._designs:
             coefficients = replace(self._forward.coefficients[0], size_exponent=exponent)

@@ -251,7 +251,7 @@ def _checked(
 
 
 def _merge(taken: dict[str, Array], notes: list[str]) -> None:
-    """Average samples with equal times, in place. Their first orientation is kept."""
+    """Average samples with equal times, in place. Of their orientations, the first one is kept."""
     of_loads = "load_time_s" if "load_time_s" in taken else "time_s"
     clocks: dict[str, list[str]] = {"time_s": [], of_loads: []}
     for name in taken:
@@ -294,7 +294,7 @@ PLATEAU = 10
 In a channel with noise, so many equal consecutive samples are unlikely.
 """
 SHARPER = 5
-"""Smallest ratio of a saturated plateau's length to the lengths of its neighbouring plateaus.
+"""Smallest ratio of a saturated plateau's length to the length of its longer neighbour.
 
 The peak of a signal with coarse steps stays below this ratio.
 """

@@ -74,8 +74,8 @@ def quantities(
     found
         Columns of the file.
     asked
-        Column, with sign and unit, or a constant, by the name of the quantity. For other
-        quantities, the headers are searched.
+        Column with sign and unit, or a constant, keyed by the name of the quantity. Quantities
+        without a key are searched in the headers.
     measures
         Kind of each quantity (a key of `UNITS`), keyed by the quantity's name with unit.
     notes
@@ -148,7 +148,8 @@ def _column(name: str, asked: str, known: Sequence[str]) -> tuple[str, float, st
 def _factor(name: str, measure: str, column: str, unit: str) -> tuple[float, str]:
     """Return the factor that converts a column to SI, and a remark, which may be empty.
 
-    The unit is the given unit, or the unit in the header, or the unit of the quantity's name.
+    The unit is the first of these that exists: the given unit, the unit in the header, the unit in
+    the quantity's name.
     """
     factors = UNITS[measure]
     # components of a quaternion have no unit

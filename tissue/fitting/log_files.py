@@ -276,7 +276,7 @@ def parquet_columns(file: Path) -> Answer:
 def mat_columns(file: Path) -> Answer:
     """Return the numeric arrays of a MATLAB file, keyed by name.
 
-    Arrays of structs have the names of their fields. An entry without numbers is returned as an
+    The arrays in a struct are named after its fields. An entry without numbers is returned as an
     empty matrix, so that the caller knows its name.
     """
     from scipy.io import loadmat

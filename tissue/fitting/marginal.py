@@ -1,27 +1,26 @@
 """Marginal distribution of one number of a fit, with Laplace's approximation of all other numbers.
 
-A normal distribution about the most probable value is not accurate enough in the three cases below.
-The density of a number is therefore evaluated on a grid. At each grid value, the other numbers are
-set to their most probable values, and are integrated by Laplace's approximation (Tierney and Kadane
-1986):
+The density of a number is evaluated on a grid. At each grid value, the other numbers are integrated
+out by Laplace's approximation about their most probable values (Tierney and Kadane 1986). A normal
+distribution about the most probable value would not be accurate enough in three cases:
 
 - A constant whose range spans decades, such as a value of 0.01 with a range from 0 to 0.1. The
-  information of a log about the value is symmetric, but the information about its standard normal
-  number is not. With a normal distribution, the coefficient of a load that is hidden by noise would
-  count as determined (``tests/tissue/fitting/test_marginal.py``).
+  likelihood is symmetric in the value, but not in its standard normal number. With a normal
+  distribution, the coefficient of a load that is hidden by noise would count as determined
+  (``tests/tissue/fitting/test_marginal.py``).
 - The offset of the clocks. If a load jumps between two samples of a log, all offsets that keep the
   jump between these samples explain the log equally well. In 100 simulated logs, the interval of
   the normal distribution contained the true offset in 78 %, and the interval of the grid in 83 %
   (``tests/bench/bench_fit_cutting.py block``).
 - Constants whose cited value is an end of their range, such as the size exponent 0 of bone. A
-  half-normal prior is not suitable, because a draw from it is always positive. None of its
+  half-normal prior is not suitable, because none of its draws is the cited value. None of its
   intervals would contain the cited value, and other constants that the log cannot separate from
   this constant would be shifted. The prior used here is a normal distribution that is cut off at
   the cited value. The probability of values beyond this end is assigned to the end itself. The
   cited value therefore has half of the probability, and is the median. The other half is spread
   towards the far end of the range, which is the 95 % quantile. The maximum is found with the whole
-  normal distribution (`Prior.mirrored`). With ``z`` measured away from the end, the ratio of the
-  prior to the normal distribution is::
+  normal distribution (`Prior.mirrored`). With ``z`` measured away from the end, Dirac's ``delta``
+  and the normal density ``phi``, the ratio of the prior to the normal distribution is::
 
       0.5 delta(z) / phi(0) + (1 where z > 0)
 """
@@ -216,9 +215,9 @@ def _walked(
 ) -> dict[float, tuple[float, Array]]:
     """Return log densities, and the best other numbers, at growing distances from a value.
 
-    The search ends when the density has been negligible over a range longer than `patience`. For
-    the offset this range is needed, because the density may rise again within a sampling interval
-    of the log.
+    The search ends when the density has been negligible over a range longer than `patience`. This
+    range matters for the clock offset, because the density may rise again within a sampling
+    interval of the log.
     """
     found: dict[float, tuple[float, Array]] = {}
     highest, u = first

@@ -51,8 +51,8 @@ class OrganForward:
         logarithm.
     curved
         Coefficients, shape (n, channels, p, p), that multiply the squares and products of the
-        distances. The matrix is symmetric: each order of two constants holds half of the
-        coefficient.
+        distances. The matrix is symmetric: entries (i, j) and (j, i) each hold half of the
+        coefficient of a product.
     """
 
     parameters: tuple[Parameter, ...]
@@ -65,7 +65,11 @@ class OrganForward:
     curved: Array
 
     def reduced(self, x: Array) -> tuple[float, Array]:
-        """Return the ratio of the loads at `x` to the loads of a run, and the run's constants."""
+        """Return the ratio of the loads at `x` to the loads of a scaled run, and its constants.
+
+        One factor scales the moduli in `x` to the moduli of this run, whose first modulus is that
+        in `at`. If `moduli` is empty, the results are 1 and `x`.
+        """
         x = np.asarray(x, dtype=float)
         # the loads are not proportional to moduli: a run with x itself is needed
         if not self.moduli:
@@ -111,7 +115,7 @@ class OrganForward:
             Constants of the other run, and its loads.
         learnt
             Step from the last run, in standard deviations of the priors, below which slopes are not
-            corrected. Over a shorter step, slopes would represent single nodes that come into
+            corrected. The loads over a shorter step mainly show single nodes that come into
             contact.
         """
         distance = self.distance(at)
@@ -144,7 +148,7 @@ class OrganForward:
 EVERY = 2
 """Ticks between two loads that a run keeps. A log is averaged over more ticks than this."""
 STEPS = (0.1, 1.0)
-"""Smallest and largest change of a constant to compute slopes, in prior standard deviations.
+"""Limits of the change of a constant from which a slope is computed [prior standard deviations].
 
 Between these limits, the change equals the uncertainty of the constant. The load difference after a
 smaller change would show single nodes that enter or leave the contact.
@@ -152,7 +156,7 @@ smaller change would show single nodes that enter or leave the contact.
 FIRST_STEP = 0.5
 """One-sided change of a constant for its first slope, in standard deviations of its prior."""
 SETTLED = 0.3
-"""Distance from the last run's constants below which the fitted constants count as equal.
+"""Distance of fitted constants from the last run's constants below which no run is added.
 
 The distance is measured in standard deviations of the constants. A 90 % interval is 3.3 standard
 deviations wide.

@@ -54,11 +54,10 @@ SHAPES = tuple(chain.from_iterable(LAW_SHAPES.values()))
 """Keys in the table `organ` of a scene for the shape constants of hyperelastic laws."""
 SHARE = "second_share"
 NEAREST = 0.1
-"""Smallest distance between 1 and the 95 % quantile of the prior of `second_share`.
+"""Smallest ratio (1 - q) / (1 - s) in the prior of `second_share`.
 
-The distance is divided by the distance between 1 and the scene's value. The ratio is assumed. A
-share cannot exceed 1. The limits of the other shape constants restrict the input and are not
-physical bounds.
+The 95 % quantile is q, and the scene's value is s. The ratio is assumed. It keeps the share below
+1, which is its physical bound. The other shape constants have no physical bound.
 """
 
 
@@ -156,7 +155,7 @@ def _shape_prior(name: str, value: float) -> Prior | None:
 
 
 LAW_MS = 5.0
-"""Time between two solutions of a hyperelastic organ [ms]; the smallest value in a scene.
+"""Time between two solutions of a hyperelastic organ [ms]; the smallest that a scene can set.
 
 A short time is needed because measured tissue has no latency.
 """

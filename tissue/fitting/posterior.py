@@ -28,9 +28,9 @@ A force may rise at several times, so there may be several maxima. Offsets beyon
 deviations of the prior are included to detect clocks that contradict the prior.
 """
 STARTS = 2
-"""Number of first guesses from which a search begins: the best over all clock offsets.
+"""Number of searches, which begin at the best first guesses over all clock offsets.
 
-For a milled block, 1, 2 and 5 first guesses lead to the same maximum.
+For a milled block, 1, 2 and 5 searches find the same maximum.
 """
 NEARBY = np.linspace(-2.5, 2.5, 101)
 REFINED = 3
@@ -54,8 +54,9 @@ small compared with an interval, which is 3.3 standard deviations wide.
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Posterior of constants given a recorded log, as a normal distribution of the constants
-    transformed to standard normal variables.
+    """Normal approximation of the posterior of constants given a measured log.
+
+    The constants are transformed to numbers whose priors are standard normal.
 
     Attributes
     ----------
@@ -98,7 +99,10 @@ class Posterior:
 
     @property
     def covariance_z(self) -> Array:
-        """Covariance, shape (p, p), of the constants' normal numbers with free nuisances."""
+        """Covariance of the constants' standard normal numbers, shape (p, p).
+
+        The clock offset and the sensor biases are free. The mesh error is included.
+        """
         p = self.target.constants
         found = self.covariance[:p, :p]
         return found if self.mesh_z is None else found + np.outer(self.mesh_z, self.mesh_z)
@@ -145,8 +149,8 @@ class Posterior:
         parts
             Fits of the same log, each with the finer mesh in one part of the log.
         factor
-            Error of this mesh, divided by the difference between the results on this mesh and on
-            the finer mesh.
+            Error of the present mesh, divided by the difference between the results on the present
+            mesh and on the finer mesh.
         """
         shifts = np.array([each.mean_z - self.mean_z for each in parts])
         least = np.sqrt(np.sum(shifts**2, axis=0))
@@ -232,11 +236,12 @@ def starts(target: Target) -> list[tuple[float, Array]]:
 # would treat it as a bias with noise and return wrong constants without a message. Each channel,
 # all forces, all torques and all loads are therefore fitted with their signs reversed as well.
 GAIN = 10.0
-"""Increase of the log density, odds of 2e4, above which a channel's sign counts as reversed."""
+"""Increase of the log density (10: odds of 2e4) above which a channel's sign counts as reversed."""
 SCREENED = 50.0
-"""Largest deficit in log density of a first guess from which a search with reversed signs begins.
+"""Distance below the wanted log density up to which a first guess starts a search.
 
-The search also changes the noise, so the first guess alone does not decide.
+The search tests reversed signs. It also changes the noise, so the first guess alone does not
+decide.
 """
 EXPLAINED = 0.5
 """Share of a channel's variance that the model must explain after its sign is reversed.
@@ -300,10 +305,11 @@ def reversed_channels(forward: Forward, log: MeasuredLoads) -> tuple[str, ...]:
 def _search(
     forward: Forward, log: MeasuredLoads, signs: Array, wanted: float
 ) -> tuple[float, Array]:
-    """Return the largest log density of a log with the given signs, and the explained variance.
+    """Return the largest log density of a log with the given signs, and the explained shares.
 
-    The explained share of the variance is computed for each channel. If the log density of the
-    first guess is far below `wanted`, the results of the first guess are returned.
+    The second result holds the share of the variance that the model explains in each channel. If
+    the log density of the first guess is far below `wanted`, the results of the first guess are
+    returned.
     """
     target = Target(forward, replace(log, values=log.values * signs))
     density, u = starts(target)[0]

@@ -52,15 +52,16 @@ DETERMINED = 2.0
 """Largest ratio of the ends of an interval for which a constant counts as determined."""
 SEED = 42
 POOR = 0.03
-"""Misfit of a fitted curve above which a fit can be reported as poor (judgement).
+"""Misfit of a fitted curve above which a fit is reported as poor (judgement).
 
-The interpolation of the forces has an error of 0.3 %, a tenth of this value.
+The fit must also exceed `SYSTEMATIC`. The interpolation of the forces has an error of 0.3 %, a
+tenth of this value.
 """
 SYSTEMATIC = 3.0
-"""Limit of the ratio of a mean residual to its standard error (judgement).
+"""Ratio of a mean residual to its standard error above which a fit is reported as poor (judgement).
 
-The mean is over presses. Above the limit, a fit can be reported as poor. The ratio is about 1 if
-the residuals of different presses are independent.
+The mean is over presses. The fit must also exceed `POOR`. The ratio is about 1 if the residuals of
+different presses are independent.
 """
 
 
@@ -87,7 +88,7 @@ class FittedCurve:
 
 
 def median_curve(forces_N: Array, draws: Ints | None = None) -> Array:
-    """Return the median of presses at each depth, shape (d,), or one row per row of `draws`."""
+    """Return the median of presses at each depth, shape (d,), or one for each row of `draws`."""
     chosen = forces_N if draws is None else forces_N[draws]
     return np.median(chosen, axis=-2)
 
@@ -133,9 +134,10 @@ class ProbeFit(Fitted):
         Name of the elastic law of the organ.
     constants
         Modulus and shape constants, with 90 % intervals.
-    force_N, bias_N
-        Fitted force [N], shape (d,), at the depths of the table, including the bias; and the bias
-        [N] of the force sensor.
+    force_N
+        Fitted force at the depths of the table, including the bias [N], shape (d,).
+    bias_N
+        Bias of the force sensor [N].
     misfit
         L2 norm of the difference between the fitted and the median curve, divided by the L2 norm of
         the median curve.
@@ -233,11 +235,10 @@ class ProbeFit(Fitted):
 
 
 def common_pattern(forces_N: Array, fitted_N: Array) -> float:
-    """Return the norm of the mean residual over the presses, divided by the standard error of this
-    norm.
+    """Return the mean residual over the presses, divided by its standard error (L2 norms).
 
     The fitted curve is scaled and shifted to each press before the residual is computed. Residuals
-    are divided by the range of the press. The norms are L2 norms over the depths.
+    are divided by the range of the press. The norms are taken over the depths.
 
     Parameters
     ----------

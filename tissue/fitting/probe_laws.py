@@ -32,16 +32,16 @@ SHAPES = {
 }
 """Range of each shape constant in which a fit searches.
 
-The ends are the limits of the key, or factors of ten around the values of published fits.
+Each end is the limit of the scene key, or lies factors of ten beyond published fits.
 """
 NODES = {1: 9, 2: 7}
-"""Number of solved values per shape constant, keyed by the number of shape constants.
+"""Number of values of a shape constant at which forces are solved, keyed by number of constants.
 
 With one constant and 9 nodes, interpolated forces have an error below 0.3 %
 (`tests/tissue/fitting/test_probes.py`).
 """
 DENSE = {1: 400, 2: 60}
-"""Number of compared values per shape constant, keyed by the number of shape constants.
+"""Number of values per shape constant that a fit compares, keyed by the number of constants.
 
 Two neighbouring values of a rate differ by 1.6 % with one shape constant, and by 12 % with two
 shape constants.
@@ -54,9 +54,9 @@ Between these depths, force / depth^1.5 is interpolated.
 UNIT_PA = 1e3
 """Modulus of the solutions [Pa]."""
 DEEPEST = 0.8
-"""Largest depth divided by the ball's radius for which the solver is verified."""
+"""Largest ratio of depth to ball radius for which the solver is verified."""
 THICKNESSES = 0.7
-"""Largest depth divided by the thickness of the layer (judgement)."""
+"""Largest accepted ratio of depth to layer thickness (judgement)."""
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ FEWEST_STEPS = 4
 Press = tuple[Array, Array]
 """Increasing depths [m] and the forces [N] of one press."""
 SHORT = 0.9
-"""Largest depth of a press, relative to the median, below which the press is not used."""
+"""Largest depth of a press, relative to the median, below which this press is not used."""
 
 
 @dataclass(frozen=True, eq=False)

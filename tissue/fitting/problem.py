@@ -125,7 +125,7 @@ class Forward(Protocol):
         ...
 
     def jacobian(self, x: Array) -> Array:
-        """Return the derivatives of the loads by the constants, shape (n, channels, p)."""
+        """Return the derivatives of loads with respect to constants, shape (n, channels, p)."""
         ...
 
 
@@ -326,8 +326,8 @@ def shift_operators(
     Returns
     -------
     tuple
-        Matrix that yields the interpolated values, and matrix that yields their derivatives by
-        `offset_s` [1/s], both of shape (m, n).
+        Matrix that yields the interpolated values, and matrix that yields their derivatives with
+        respect to `offset_s` [1/s], both of shape (m, n).
     """
     last = len(times_s) - 1
     asked = (np.asarray(wanted_s)[:, None] + np.asarray(within_s)).ravel() - offset_s

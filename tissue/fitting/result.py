@@ -20,13 +20,13 @@ Such numbers are not constants of a material.
 """
 FAR = 3.0
 FAR_TIMES = 10.0
-"""Ratio of a value to the end of its cited range, above which the value contradicts its prior.
+"""Factor above or below the cited range beyond which a value contradicts its prior.
 
 This limit is needed in addition to `FAR`, because some priors have a heavy tail towards zero. `FAR`
 is a limit in standard deviations of the prior. By chance, 0.3 % of the constants lie beyond it.
 """
 UNIT_TIMES = 100.0
-"""Ratio of a value to the end of its cited range that suggests a wrong unit.
+"""Smallest factor above or below the cited range that suggests a wrong unit.
 
 Units such as N and kN differ by factors of 1000.
 """

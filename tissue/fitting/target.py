@@ -27,7 +27,7 @@ NOISE_SPREAD = 1.5
 """Prior spread of the noise.
 
 The spread is the standard deviation of the logarithm of the noise. The prior median of the noise is
-`NOISE_SHARE`, relative to the size of the loads. 90 % of the values lie within a factor of 12 of
+`NOISE_SHARE`, relative to the size of the loads. Of the values, 90 % lie within a factor of 12 of
 the median.
 """
 LEAST_NOISE = 1e-3
@@ -40,8 +40,8 @@ CORRELATION_SPREAD = 1.5
 MOST_CORRELATED = 0.9995
 """Largest absolute correlation of neighbouring residuals.
 
-In the prior, the artanh of the correlation has the standard deviation `CORRELATION_SPREAD`. 90 % of
-the correlations lie within +-0.986.
+In the prior, the artanh of the correlation has the standard deviation `CORRELATION_SPREAD`. Of the
+correlations, 90 % lie between -0.986 and 0.986.
 """
 LEAST_FREEDOM = 2.0
 FREEDOM = 4.0
@@ -49,9 +49,9 @@ FREEDOM_SPREAD = 1.0
 """Prior standard deviation of ln(f - `LEAST_FREEDOM`), with the degrees of freedom f of the noise.
 
 `LEAST_FREEDOM` is the smallest f, at which the variance becomes finite. `FREEDOM` is the prior
-median of f - `LEAST_FREEDOM`. 90 % of the values lie between 3 and 23. This range covers noise with
-heavy tails, and comes close enough to normal noise. If 4 degrees of freedom were assumed for normal
-noise, 90 % intervals would contain the true value in only 87 % of cases.
+median of f - `LEAST_FREEDOM`. Of the values f, 90 % lie between 3 and 23. This range covers noise
+with heavy tails, and comes close enough to normal noise. If 4 degrees of freedom were assumed for
+normal noise, 90 % intervals would contain the true value in only 87 % of cases.
 """
 CORRELATED = 0.5
 """Correlation of neighbouring residuals at the start: between white noise (0) and drift (1)."""
@@ -112,8 +112,9 @@ def innovations(residuals: Array, correlation: Array) -> Array:
     """Return the innovations e_t = r_t - phi r_(t-1) of residuals, shape (m, channels).
 
     The factor phi is `correlation`. The first innovation after a gap (NaN) is sqrt(1 - phi²) r_t,
-    because the chain starts stationary. Innovations are NaN at gaps. Innovations are linear in the
-    residuals, so `residuals` may also be derivatives of residuals, shape (m, channels, k).
+    because the noise is assumed to be stationary. Innovations are NaN at gaps. Innovations are
+    linear in the residuals, so `residuals` may also be derivatives of residuals, shape (m,
+    channels, k).
     """
     previous = np.concatenate([np.full_like(residuals[:1], np.nan), residuals[:-1]])
     phi = correlation.reshape(1, -1, *[1] * (residuals.ndim - 2))
@@ -247,7 +248,7 @@ class Target:
     def _by_place(self, each: Unpacked) -> tuple[Array, Array]:
         """Return loads without bias, shape (m, channels), and their derivatives.
 
-        The derivatives are by z and the scaled offset, shape (m, channels, p + 1).
+        The derivatives are with respect to z and the scaled offset, shape (m, channels, p + 1).
         """
         values, rates = self._shifted(each.offset_s)
         x = self.x(each.z)
@@ -341,10 +342,11 @@ class Target:
         return log_density, u
 
     def with_noise(self, u: Array) -> tuple[float, Array]:
-        """Find the noise that maximises the restricted likelihood for fixed other numbers.
+        """Find the noise that maximises the restricted likelihood; keep the other numbers of `u`.
 
-        Return the logarithm of this likelihood times the priors, and the numbers. The restricted
-        likelihood is the density integrated over the other numbers by Laplace's approximation.
+        Return the logarithm of this likelihood times the priors, and all numbers. The restricted
+        likelihood is the density, integrated over the other numbers by Laplace's approximation
+        about `u`.
         """
         simulated, moved = self.linearised(u)
         residuals = self.log.values - simulated
@@ -372,8 +374,8 @@ class Target:
     def start(self, offset_s: float) -> Array:
         """Return the numbers at which a search starts, shape (size,), for a clock offset.
 
-        The constants follow from two steps of reweighted least squares, from the middle of their
-        priors.
+        The constants follow from two steps of reweighted least squares that begin at the medians of
+        their priors.
         """
         u = np.zeros(self.size)
         u[self.constants] = offset_s / OFFSET_S

@@ -13,17 +13,21 @@ MEASURES = (
 )
 """Trace columns of a device.
 
-The order is: pose of the device [mm, quaternion]; force [N] and torque [N m] sent to the device;
-force at the device before it is compressed into the device's range [N]; 1 if the range compressed
-the force or the torque, otherwise 0; energy taken from the device [J]; stability margin, which is 1
-minus the stiffness divided by the critical stiffness; force of the renderer before prediction,
-filter and delay [N].
+The columns are, in this order:
+
+- Pose of the device [mm, quaternion].
+- Force [N] and torque [N m] sent to the device.
+- Force before it is compressed into the range of the device [N].
+- Flag: 1 if the range compressed the force or the torque, otherwise 0.
+- Energy taken from the device [J].
+- Stability margin: 1 minus the stiffness divided by the critical stiffness.
+- Force of the renderer before prediction, filter and delay [N].
 """
 PREDICTED = (*(f"predicted_force_{c}_N" for c in "xyz"), "prediction_residual_N", "predicted_by")
-"""Trace columns of a prediction.
+"""Trace columns of a force prediction.
 
 The columns are the predicted force, the magnitude of the last prediction error for one tick ahead,
-and the source of the prediction: 1 for the predictor, 0 for its fallback.
+and the source of the prediction: 1 for the predictor, 0 for the fallback predictor.
 """
 PERCEIVED = ("estimated_force_N", "perceived", "perceived_spread", "above_threshold")
 """Trace columns of a perception model; see `tissue.perception.Perception`."""

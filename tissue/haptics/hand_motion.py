@@ -42,9 +42,10 @@ class Rendering:
     law
         Law that computes the force at the device [N] from the positions of device and tool.
     loop
-        Loop of the device and the law. The energy is computed with the delay of the loop, and force
-        and velocity pass the filters of the loop. Without a velocity filter, the velocity in the
-        sample is used. The tick of the loop is the time between two samples of the device.
+        Loop of the device and the law. The energy taken from the device is computed with the delay
+        of the loop. Force and velocity pass the filters of the loop. Without a velocity filter, the
+        velocity in the sample is used. The tick of the loop is the time between two samples of the
+        device.
     margin
         Stability margin: 1 minus the ratio of the stiffness to the critical stiffness.
     turning_law
@@ -123,10 +124,11 @@ class HandMotion(Motion):
     every ``model_ticks`` ticks, the tool and the rendered force do not change in the other ticks.
     In these ticks, a predictor uses only the motion of the device.
 
-    Tool and device start at the same position. The tool then moves ``motion_scale`` metres for each
-    metre of the device. If the device can apply torque, a rotational spring also couples the tool
-    to the device, and the torque of the tissue turns the tool. For a tool that does not cut, this
-    torque is from the last tick. The rendered torque also passes the low-pass and the delay.
+    Tool and device start at the same position, unless the script gives a device origin. The tool
+    then moves ``motion_scale`` metres for each metre of the device. If the device can apply torque,
+    a rotational spring also couples the tool to the device, and the torque of the tissue turns the
+    tool. For a tool that does not cut, this torque is from the last tick. The rendered torque also
+    passes the low-pass and the delay.
 
     Parameters
     ----------
@@ -225,8 +227,8 @@ class HandMotion(Motion):
     def device(self) -> Device:
         """Device that the hand moves.
 
-        Another device may be set only before the first tick, because the sample guard and the
-        measures are then replaced, too.
+        Set another device only before the first tick, because the sample guard and the measures are
+        then replaced.
         """
         return self.held.device
 

@@ -191,8 +191,8 @@ class PassivityControl:
         """Reset after missing samples, because the motion up to the next sample is unknown.
 
         While samples are missing, the force fades, and afterwards it returns slowly. On entry into
-        a wall, the device therefore loses less energy than the observer adds. The observed energy
-        is set to zero, so that it cannot be released on exit from the wall.
+        a wall, the device therefore loses less energy than the observer adds. A positive observed
+        energy is set to zero, so that it cannot be released on exit from the wall.
         """
         self.observer.pause()
         self.observer.energy_J = min(self.observer.energy_J, 0.0)

@@ -62,7 +62,7 @@ class WallRun:
     taken_J: Array
 
     def ripple_N(self, last_s: float) -> float:
-        """Return the RMS deviation [N] of the force from its mean in the last ``last_s``."""
+        """Return the RMS deviation [N] of the force from its mean over the last ``last_s`` [s]."""
         last = self.time_s > self.time_s[-1] - last_s
         return float(np.linalg.norm(self.force_N[last].std(axis=0)))
 
@@ -125,10 +125,11 @@ def knock(
     kind: str,
     stiffness_N_m: float,
 ) -> tuple[WallRun, SimulatedDevice]:
-    """Simulate a hand that moves 5 mm into a wall and is jerked away from the wall.
+    """Simulate a hand that presses a device against a wall and is jerked away from the wall.
 
-    The jerk is a force of 2 N for 20 ms, after 0.8 s. The hand has no noise and no tremor, so that
-    motion after the jerk is caused by the loop.
+    The target position of the hand is 5 mm inside the wall. The jerk is a force of 2 N for 20 ms,
+    after 0.8 s. The hand has no noise and no tremor, so that motion after the jerk is caused by the
+    loop.
     """
     quiet = replace(hand, endpoint_noise=0.0, force_noise=0.0, tremor_m=0.0)
     # The target jumps within one tick. The hand follows it with a smooth movement.

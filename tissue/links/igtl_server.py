@@ -197,9 +197,9 @@ class IgtlServer:
         return host, port
 
     def poll(self, timeout_s: float) -> tuple[list[Client], list[Received]]:
-        """Send and receive without blocking, and return new clients and received messages.
+        """Send queued data, and return new clients and received messages.
 
-        The call waits for new data for at most ``timeout_s``.
+        The call waits for new clients or data for at most ``timeout_s``.
         """
         for client in list(self.clients):
             self._try(client, client.write)

@@ -54,7 +54,7 @@ def serve_network(
     hardware
         Settings with an address ``udp://HOST:PORT`` or ``ws://HOST:PORT``.
     opened
-        Called with the address when the server starts to listen.
+        Function that is called with the address when the server starts to listen.
     ends
         Function that returns True when the server must stop.
     """

@@ -308,7 +308,7 @@ class Publisher(RunPublisher):
         return self._packed("STRING", WORDS, igtl.string_body(text))
 
     def _status_message(self) -> bytes:
-        """Return the simulated time and the number of missed deadlines, or that the run begins."""
+        """Return a STATUS message: simulated time and missed deadlines, or the start of the run."""
         text = "begins"
         if self._read is not None:
             numbers = self._read.numbers

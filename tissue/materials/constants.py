@@ -241,12 +241,12 @@ BOUNDS = {
 }
 """Smallest and largest value with which a scene can be built, keyed by the constant's name.
 
-Only constants whose range is close to a limit are listed: Poisson's ratios of nearly incompressible
-solids, relaxation shares, whose sum must be less than one, and the share of heat. Cited ranges of
-Poisson's ratio end at 0.4999.
+Only constants whose range is close to a limit are listed. These are Poisson's ratios of nearly
+incompressible solids, relaxation shares (their sum must be below 1), and the share of heat. Cited
+ranges of Poisson's ratio end at 0.4999.
 """
 NEAR_ZERO = 0.05
-"""Threshold below which a prior compresses values, relative to the cited value; chosen.
+"""Threshold below which a prior compresses values, relative to the cited value (judgement).
 
 If the range of a constant begins at zero, small values are compressed so that they stay above zero,
 see `Prior`.
@@ -257,15 +257,15 @@ see `Prior`.
 class Prior:
     """Distribution of a constant with the median `value`, and 5 and 95 % quantiles `low`, `high`.
 
-    A number z ~ N(0, 1) is mapped to y = y_value + c (exp(g z) - 1). This is the shifted log-normal
-    (or normal) distribution through the three quantiles. The constant x follows from y:
+    A number z ~ N(0, 1) is mapped to y = y_value + c (exp(g z) - 1), where c and g follow from the
+    three quantiles. Hence y has a shifted log-normal distribution, or a normal one for g = 0. The
+    constant x follows from y:
 
     - With `bounds`: y = logit of x between the bounds.
     - With a positive range: y = ln x.
     - With a range that contains negative numbers: y = x.
-    - With a range that begins at zero: y = s ln(exp(x / s) - 1) with s = 0.05 value. Then y is
-      close to x if x is well above s, and x is always positive. The 5 % quantile is then 0.035
-      value.
+    - With a range that begins at zero: y = s ln(exp(x / s) - 1) with s = 0.05 `value`. Then y is
+      close to x if x is well above s, and x is always positive. The 5 % quantile is 0.035 `value`.
 
     If the value is one end of its range, the distribution is half-normal toward the other end, and
     95 % of the distribution lies inside the range.

@@ -69,8 +69,8 @@ def orthotropic(*, young_Pa: ArrayLike, shear_Pa: ArrayLike, poisson_ratio: Arra
     shear_Pa
         G12, G13, G23 [Pa].
     poisson_ratio
-        nu12, nu13, nu23. nu12 is the ratio of contraction along 2 to extension along 1 under
-        tension along 1, and nu21 = nu12 E2 / E1.
+        nu12, nu13, nu23. The ratio nu12 is the contraction along 2 divided by the extension along 1
+        under tension along 1, and nu21 = nu12 E2 / E1.
 
     Raises
     ------
@@ -166,9 +166,9 @@ def fibre_ratio_range(poisson_ratio: float) -> tuple[float, float]:
     """Compute the open range of modulus ratios for which a fibre material is stable.
 
     The material has the ratio nu_across of `volume_preserving_ratio`, Poisson's ratio nu and
-    modulus ratio r. Stability requires 1 - nu_across > 2 nu^2 / r, which is equivalent to r > (1 -
-    2 nu) / 3, and nu_across > -1. The second condition is a lower bound of r if nu > 1/4, and an
-    upper bound if nu < -1/6.
+    modulus ratio r. Stability requires two conditions. The first, 1 - nu_across > 2 nu^2 / r, is
+    equivalent to r > (1 - 2 nu) / 3. The second, nu_across > -1, is a lower bound of r if nu > 1/4,
+    and an upper bound if nu < -1/6.
     """
     low = (1.0 - 2.0 * poisson_ratio) / 3.0
     high = np.inf

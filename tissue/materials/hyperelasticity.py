@@ -10,8 +10,9 @@ density is::
 
 The shear modulus at small strains is sum mu_p + sum mu_e, and the bulk modulus is kappa. The
 volumetric part (Simo and Miehe 1992) is separate from the isochoric part, so the response to shear
-does not depend on kappa. The stress follows from the derivatives of psi by ln l_i, in the frame of
-the singular vectors of F. `kernels.tet_hyperelastic` evaluates the law in the cells of a mesh.
+does not depend on kappa. The stress follows from the derivatives of psi with respect to ln l_i, in
+the frame of the singular vectors of F. `kernels.tet_hyperelastic` evaluates the law in the cells of
+a mesh.
 
 References: Ogden 1984, Non-Linear Elastic Deformations; Yeoh 1993, Rubber Chemistry and Technology
 66; Demiray 1972, J. Biomech. 5:309 (exponential of the first invariant, an isotropic form of Fung).
@@ -92,7 +93,7 @@ class Hyperelastic:
 
     @classmethod
     def exponential(cls, shear_Pa: float, rate: float, *, bulk_Pa: float) -> "Hyperelastic":
-        """Return the law with the isochoric energy (mu / 2 b) (exp(b (I1 - 3)) - 1)."""
+        """Return the law with the isochoric energy (mu / (2 b)) (exp(b (I1 - 3)) - 1)."""
         return cls(bulk_Pa, (), exponentials=((shear_Pa, rate),))
 
     @property
@@ -115,10 +116,11 @@ class Hyperelastic:
         return (u * (self.derivatives(stretch)[1] / stretch)[..., None, :]) @ v
 
     def derivatives(self, stretch: Array) -> tuple[Array, Array, Array]:
-        """Compute the energy density [Pa], and its derivatives by the logarithms of the stretches.
+        """Compute the energy density [Pa], and its derivatives with respect to logarithmic strains.
 
-        The stretches have shape (..., 3). The energy has the shape (...), the first derivatives
-        have the shape (..., 3), and the second derivatives have the shape (..., 3, 3).
+        The logarithmic strains are the logarithms of the stretches, which have shape (..., 3). The
+        energy has the shape (...), the first derivatives have the shape (..., 3), and the second
+        derivatives have the shape (..., 3, 3).
         """
         volume = stretch.prod(axis=-1)
         isochoric = stretch / np.cbrt(volume)[..., None]
@@ -153,7 +155,7 @@ class Hyperelastic:
 
 
 def _power_sum(isochoric: Array, alpha: float) -> tuple[Array, Array, Array]:
-    """Return S(alpha) - 3 and its first and second derivatives by the logarithms of stretches."""
+    """Return S(alpha) - 3, and its first and second derivatives with respect to ln(stretch)."""
     power = isochoric**alpha
     mean = power.mean(axis=-1, keepdims=True)
     mixed = (power[..., :, None] + power[..., None, :] - mean[..., None]) / 3.0

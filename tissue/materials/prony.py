@@ -138,7 +138,7 @@ class HereditaryIntegral:
         self.history = np.zeros(shape)
         """Response to all previous inputs at the end of the next step.
 
-        It is the whole response if the input at the end of the next step is zero.
+        If the input at the end of the next step is zero, this is the whole response.
         """
 
     def advance(self, value: ArrayLike) -> None:

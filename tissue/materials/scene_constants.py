@@ -105,7 +105,7 @@ class Materials:
         return cls.read(given)
 
     def constants(self, table: str, material: str) -> dict[str, Constant]:
-        """Return the constants of a material, keyed by name; those in the file replace cited ones.
+        """Return the constants of a material, keyed by name; the file replaces cited constants.
 
         The result contains all names of the cited constants. A layer of the table ``cutting`` is
         not a material, see `coefficients`. Raises the errors of

@@ -26,12 +26,12 @@ from tissue.models.tissue_model import TICK_S, ToolMotion
 Distance = Callable[[Array], Floats]
 """Function from points [m], shape (n, 3), to signed distances [m], shape (n,), negative inside."""
 DEVICE = "cpu"
-"""Device of the distance search: the CPU, with one thread, for every device of the tissue."""
+"""Device of the distance search: one thread of the CPU, also if the tissue is on a GPU."""
 
 APART_M = float(TOLERANCE_M)
-"""Largest error of the distance between tool and triangles if they do not overlap [m]."""
+"""Largest error of the distance between a tool and triangles that do not overlap it [m]."""
 OVERLAP_M = 1e-5
-"""Largest error of the distance between tool and triangles if they overlap [m].
+"""Largest error of the distance between a tool and triangles that overlap it [m].
 
 The tolerances of the kernel and of the tool's medial axis add up to less than this value.
 `tests/tissue/models/test_clearance.py` checks this limit.
@@ -39,8 +39,8 @@ The tolerances of the kernel and of the tool's medial axis add up to less than t
 MANY_TRIANGLES = 10000
 """Number of triangles of a structure above which the search in a deep overlap is coarse.
 
-The value was chosen by judgement: in a deep overlap, a tick of the fine search takes tens of
-milliseconds.
+In a deep overlap with more triangles, a fine search would take tens of milliseconds per tick. The
+value was chosen by judgement.
 """
 DEEP_OVERLAP_M = 1e-4
 """Largest error of the distance between tool and triangles in a coarse search [m].
@@ -51,9 +51,9 @@ surface lies more than 1 mm (`DEEP_M`) inside the tool.
 FINE_M = MEDIAL_TOLERANCE_M, 3e-6
 """Errors of the tool's medial axis and of the search [m]; their sum is less than `OVERLAP_M`."""
 COARSE_M = 5e-5, 4.5e-5
-"""Errors [m] of the tool's medial axis and of the coarse search.
+"""Errors of the tool's medial axis and of the coarse search [m]; chosen.
 
-Their sum is below `DEEP_OVERLAP_M`. The values were chosen by judgement.
+Their sum must be less than `DEEP_OVERLAP_M`.
 """
 
 
@@ -96,9 +96,9 @@ class KeepClear:
 
     The body is the simulated cutter, including peg, flank and back; the shaft behind the cutter is
     not included. At each point of space the signed distances from the tool and from the structure
-    are added. The distance is the smallest of these sums. If tool and structure are apart, the
-    distance is the clearance. If tool and structure overlap, the distance is negative, and its
-    magnitude is the depth of the overlap.
+    are added. The distance of the tool from the structure is the smallest of these sums. If tool
+    and structure are apart, the distance is the clearance. If tool and structure overlap, the
+    distance is negative, and its magnitude is the depth of the overlap.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ class KeepClear:
     def overlaps(self) -> list[str]:
         """Return one text for each structure that the tool overlapped in the last tick.
 
-        The text contains the depth.
+        The text contains the depth of the overlap.
         """
         return [
             f"{-distance_mm:.2f} mm inside {breach.name}"
@@ -231,7 +231,7 @@ class KeepClear:
         breach.began_s = None
 
     def stop_reporting(self) -> None:
-        """End all breaches, and record no further breaches or smallest distances."""
+        """End all breaches, and stop recording breaches and smallest distances."""
         self.finish()
         self._follows = False
 

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from meshes.base.errors import InputError
 
 State = dict[str, Any]
-"""State of an object by name: numbers, arrays and plain objects that can be pickled."""
+"""State of an object, keyed by name: numbers, arrays and other values that can be pickled."""
 
 
 def copied(owner: object, names: Iterable[str]) -> State:

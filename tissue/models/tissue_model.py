@@ -14,7 +14,7 @@ from tissue.models.state import State
 TICK_S = 1e-3
 """Length of a tick [s]."""
 SLOW = "longer than its interval"
-"""Text in every notice that a background computation took too long.
+"""Text that occurs in every notice about a background computation that took too long.
 
 The cause of such a notice is a slow computer, not the tissue.
 """
@@ -160,7 +160,7 @@ class SchedulesBackground(Protocol):
 
     @property
     def scheduling(self) -> str:
-        """Description of the background work, with priority and cores; otherwise an empty text."""
+        """Priority and cores of the background work; an empty text without background work."""
         ...
 
 
@@ -238,7 +238,7 @@ class WaitsForBackground(Protocol):
     """Tissue with background work whose result is due at a certain tick."""
 
     def wait_for_background(self, time_s: float) -> None:
-        """Wait for background work whose result is due at this time; called before every tick."""
+        """Wait for background work whose result is due at a time [s]; called before every tick."""
 
 
 @runtime_checkable

@@ -21,7 +21,7 @@ OLD_POSES = "high_frequency_poses"
 OLDEST_POSES = "data"
 """HDF5 group with the poses in recordings made from 2022 to 2025.
 
-The group contains ``time``, which holds for all objects, and ``pose_OBJECT`` for each object. In
+The group contains ``time``, which is common to all objects, and ``pose_OBJECT`` for each object. In
 another older layout, the name of the group is `OLD_POSES`. In both older layouts, the groups of
 events are at the root of the file.
 """

@@ -54,10 +54,10 @@ class Motion(Protocol):
     def feed_limit(self) -> dict[str, float | None]:
         """Record of the time in contact during which the feed limit determines the speed.
 
-        The record contains the feed limit ``max_feed_mm_s``, the total time ``active_s`` of an
-        active limit in contact [s], and the time ``first_s`` at which the limit first became active
-        [s] (None if it was never active). While the limit is active, the resistance of the tissue
-        is smaller than the thrust. A motion that is not driven by a thrust has an empty record.
+        The record contains the feed limit ``max_feed_mm_s`` and the total time ``active_s`` of an
+        active limit in contact [s]. The time ``first_s`` is the time at which the limit first
+        became active [s], or None. While the limit is active, the resistance of the tissue is
+        smaller than the thrust. A motion that is not driven by a thrust has an empty record.
         """
         return {}
 

@@ -267,8 +267,8 @@ def read_poses(path: Path) -> tuple[Array, Array, float]:
 def poses_of_trace(tips_m: Array, axes: Array) -> Array:
     """Build the poses of a run from its trace, if the pose file is missing.
 
-    The error of the bone's shape that is computed from these poses is about the distance that the
-    tool moves between two cuts.
+    A bone shape that is computed from these poses has an error of about the distance that the tool
+    moves between two cuts.
 
     Parameters
     ----------

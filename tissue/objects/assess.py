@@ -104,13 +104,13 @@ def rank(
     """Order trainees by the safety and the mean score of their runs of one scene.
 
     In a breach, the tool enters a structure that the scene's table ``[keep_clear]`` names. Trainees
-    with a smaller share of runs with a breach come first. Trainees with equal shares are ordered by
-    their mean score. The score measures how steady a hand is; see `Assessment.steadiness`. A
-    trainee with three or more attempts also has a learning curve. Three kinds of runs are left out:
-    runs of a task other than the reference run's, runs without a score, and runs that do not touch
-    the tissue where the reference run does. `Ranking.left_out` lists them. The table also has rows
-    for the runs without a score. `Ranking.notes` lists differences between the scenes of the runs,
-    including the coupling to the device.
+    are ordered by the share of their runs with a breach, the smallest share first. Trainees with
+    equal shares are ordered by their mean score. The score measures how steady a hand is; see
+    `Assessment.steadiness`. A trainee with three or more attempts also has a learning curve. Three
+    kinds of runs are left out: runs of another task than the reference run, runs without a score,
+    and runs without contact where the reference run has contact. `Ranking.left_out` lists them. The
+    table also has rows for the runs without a score. `Ranking.notes` lists differences between the
+    scenes of the runs, including the coupling to the device.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ This surface shows the bone before any cut. It is computed from voxels that may 
 voxels of the bone. With 4 million voxels, a ball has about 200,000 triangles.
 """
 KEY = "anatomy."
-"""Prefix of keys in the notes of file readers; removed, because a `Bone` has no scene."""
+"""Prefix of keys in the notes of file readers; it is removed, because a `Bone` has no scene."""
 
 
 class BoneOptions(TypedDict, total=False):
@@ -484,7 +484,7 @@ class Bone:
 
 
 def constants_of(bone: Bone) -> tuple[object, ...]:
-    """Return the data of a bone that no cut changes; a snapshot is valid only for equal data.
+    """Return the constant data of a bone; a snapshot is valid only for a bone with equal data.
 
     The data are the cutting coefficients, the voxel grid, the shape, and for each voxel the
     material and the filled fraction before any cut. If voxels are made only near a tool, the shape

@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 
 MERGED = 1e-3
 SEAM = 3.0
-"""Largest distances between points to merge, and between boundary loops to join [voxels].
+"""Largest distance between boundary loops to join [voxels]; `MERGED` is for points to merge.
 
 Two parts of a surface are connected: the surface from the file, and the surface of the voxels near
-the cut. The first distance allows for rounding. The second distance allows for the gap between the
-boundary loops of the two parts. Its value is not measured but chosen.
+the cut. `MERGED` allows for rounding. `SEAM` allows for the gap between the boundary loops of the
+two parts. The value of `SEAM` is a design choice.
 """
 NEAR = 0.5
 AGREE = 0.8
-"""Limits for the use of normals from the file: largest distance [voxels] and smallest cosine.
+"""Smallest cosine `AGREE` and largest distance `NEAR` [voxels] for the use of the file's normals.
 
-A point of the voxel surface gets the normal of the nearest point of the file's surface if both
-limits hold: for the distance between the two points, and for the cosine of the angle between the
-two normals. Where nothing was cut, the voxel surface is within half a voxel of the file's surface.
-Across a sharp edge, the normals differ by more than 37 degrees.
+A point of the voxel surface gets the normal of the nearest point of the file's surface under two
+conditions. The distance between the points is at most `NEAR`, and the cosine of the angle between
+the normals is at least `AGREE`. Where nothing was cut, the voxel surface is within half a voxel of
+the file's surface. Across a sharp edge, the normals differ by more than 37 degrees.
 """
 
 

@@ -155,10 +155,10 @@ class Comparison:
         Parameters
         ----------
         over
-            ``time``; or ``depth`` of the tool's tip below the point of first contact, in the ticks
-            in which the tip is deeper than before. The default is depth if this motion is more than
-            half of the path of every tool in contact. A needle that is withdrawn is drawn over
-            time.
+            ``time``; or ``depth`` of the tool's tip below the point of first contact. Over depth,
+            only the ticks are drawn in which the tip is deeper than in all earlier ticks. The
+            default is depth if, for every tool, the depth exceeds half of the tip's path in
+            contact. A needle that is withdrawn is drawn over time.
 
         Returns
         -------
@@ -289,7 +289,7 @@ class Comparison:
         return written
 
     def lines(self) -> list[str]:
-        """Return lines on scene keys that differ and on equal summary values, and the notes."""
+        """Return lines of text: scene keys that differ, equal summary values, and notes."""
         found = [
             f"{key}: {_each(self.runs, [_named(key, value) for value in values])}"
             for key, values in self.scene_differences.items()
@@ -333,8 +333,8 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
     runs
         At least two runs, or folders of runs.
     names
-        Names of the runs; default the names of the runs' folders, or of the scenes without folders.
-        If the parent folders differ, the names contain them.
+        Names of the runs; default the names of the runs' folders, or of the scenes for runs without
+        a folder. If the parent folders differ, the names contain them.
 
     Raises
     ------
@@ -376,7 +376,7 @@ def split_formats(formats: Iterable[str]) -> tuple[tuple[str, ...], tuple[str, .
 
 
 def shortened(key: str, values: Sequence[Any]) -> Sequence[Any]:
-    """Replace file paths by file names if these stay distinct; keep other values."""
+    """Replace file paths by file names if the names are distinct; keep other values."""
     if not names_file(full_key(key)):
         return values
     names = [None if value is None else Path(str(value)).name for value in values]
@@ -456,8 +456,9 @@ def _stated(key: str, value: object, keys: Iterable[str]) -> str:
 def _names(runs: list[Run]) -> list[str]:
     """Return names for runs, taken from their folders or scenes; equal names are numbered.
 
-    If all runs are in different folders, a name has the parent folder and the folder of the run,
-    and further folders above them if these names are equal. Parts that all runs share are left out.
+    If all runs are in different folders, a name consists of the parent folder and the folder of the
+    run. If two such names are equal, folders above them are added. Parts that all runs share are
+    left out.
     """
     plain = [run.scene.name if run.path is None else run.path.resolve().name for run in runs]
     folders = [run.path.resolve().parts for run in runs if run.path is not None]

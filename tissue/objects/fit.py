@@ -37,12 +37,12 @@ class Fit:
 
     @property
     def verdicts(self) -> list[str]:
-        """Sentences on which constants the data determine, and on useful further measurements."""
+        """Sentences on the constants that the data determine, and on useful new measurements."""
         return self.fitted.verdicts
 
     @property
     def laws(self) -> tuple[LawMisfit, ...]:
-        """Misfit of each cutting law to a table of steady loads; empty for a log."""
+        """Misfit of each cutting law to a table of steady loads; empty for other measurements."""
         return self.fitted.laws
 
     def to_pandas(self) -> "pandas.DataFrame":
@@ -114,7 +114,7 @@ def fit(
     ----------
     scene
         Scene with the tissue and the tool of the measurement. The poses of a log must be in the
-        frame of the scene. They replace the motion of the scene.
+        frame of the scene, and replace the motion of the scene.
     measured
         CSV, Parquet, HDF5, .mat or .npz file. The trace of a run needs no `columns`. A table of
         steady loads has the feed (``feed_mm_min`` or ``feed_mm_s`` with ``spin_rpm``, or
@@ -122,7 +122,7 @@ def fit(
         optionally their standard deviations (``thrust_pm_N``, ``torque_pm_Nmm`` or
         ``torque_pm_Nm``). A table of presses has ``depth_mm``, ``force_N`` and optionally
         ``probe``, the number of the press. For a table of presses, the tool of the scene must be
-        the ball, and its anatomy a slab as thick as the tissue.
+        the ball, and the anatomy must be a slab with the thickness of the tissue.
     free
         Constants to fit, such as ``cutting.trabecular`` or ``cutting.edge``. The default is all
         constants of the touched tissue that have a published range; see docs/guide/fit.md.
@@ -136,7 +136,7 @@ def fit(
         Memory that the log may take [GB]; default half of the free memory.
     progress
         Whether to show a progress bar; or a function that is called with the name of the current
-        work.
+        work and its completed share (0 to 1).
 
     Raises
     ------

@@ -84,7 +84,7 @@ BANDED = {
     "peak_torque_Nm": ("torque_Nm", "peak"),
     "mean_torque_Nm": ("torque_Nm", "mean_in_contact"),
 }
-"""Pairs (load, statistic) that locate values in a summary and in its band, keyed by value name."""
+"""Keys (load, statistic) of a value in a summary and in its band, keyed by the value's name."""
 
 
 def figures_of_trace(trace: Table) -> dict[str, float]:

@@ -131,14 +131,15 @@ class Loop:
             path limits the depth of the prepared tissue. For an organ or a scene, tissue is
             prepared only once, at the start.
         longest_s, keep_clear
-            Time for which rows of the trace are allocated [s]. Structures that a cutter must not
-            touch, as for `tissue.Bone.cut`. With a device, the loop stops when all rows of the
-            trace are used. Without a device, the newest rows replace the oldest rows from then on.
+            Time for which rows of the trace are allocated [s]. With a device, the loop stops when
+            all rows are used. Without a device, the newest rows then replace the oldest rows.
+            Structures that a cutter must not touch, as for `tissue.Bone.cut`.
         step_ms
             Duration of a step without a device [ms], 1 to 1000. In a step of several ticks, the
             tool moves along a straight line. A curved path is therefore replaced by chords.
         cores
-            Number of processor cores for a scene; default all. The result does not depend on it.
+            Number of processor cores for a scene; default all. The result does not depend on this
+            number.
         limits
             Limits of the device: name of a known device, `tissue.DeviceParameters`, or a mapping of
             these parameters; default ``touch``. This option and all following options need a
@@ -311,8 +312,8 @@ class Loop:
             accepted: a tip position [mm], shape (3,), with unchanged orientation; a tip position
             and a quaternion (x, y, z, w), shape (7,); or a homogeneous matrix, shape (4, 4). The z
             axis of the tool points from tip to shank. Leave out the pose if there is a device. The
-            first pose has the time 0 in the trace, as the start of the path has in a run of a
-            scene. To get the times of that run, give the start of the path as the first pose.
+            first pose has the time 0 in the trace. In a run of a scene, the start of the path has
+            the time 0. To get the same times, give the start of the path as the first pose.
         velocity
             Velocity of the tip [mm/s], shape (3,), or velocity and angular velocity [rad/s] in one
             array, shape (6,). The default is the change of the pose divided by the duration of the
@@ -436,8 +437,8 @@ class Loop:
         real_time
             Whether each tick waits until it is due on the wall clock. A real device needs this. The
             ticks then run in a second thread. If the tissue is hyperelastic, its deformation is
-            solved in a third thread. A sample of the device that is more than 1.5 ms late is not
-            used. If the device gets no command for 50 ms, it receives zero force. Without real
+            solved in a third thread. A read of the device that takes longer than 2.5 ms gives no
+            sample. If the device gets no command for 50 ms, it receives zero force. Without real
             time, the ticks wait for the solution of the hyperelastic deformation.
         on_tick
             Function that is called after every tick with the number of the tick and its row of the

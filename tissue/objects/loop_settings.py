@@ -52,7 +52,7 @@ One hour of a trace with 60 columns takes 1.7 GB.
 """
 REACH_MM = 5.0
 SCENE_REACH_MM = 2.0
-"""Default distance within which tissue is prepared [mm]: from the tool, and from a scene's path."""
+"""Default distance from a scene's path within which tissue is prepared [mm]."""
 MOST_TICKS = 1000
 """Largest number of ticks in a step. A step of 1000 ticks takes 1 s."""
 

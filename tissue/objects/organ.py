@@ -105,8 +105,8 @@ class Organ:
             Density [kg/m3]. With a density, gravity along -z deforms the organ before the first
             contact.
         relaxation
-            Terms of a Prony series: pairs of a share of the modulus and its relaxation time [s].
-            With `relaxation`, `modulus_kPa` is the instantaneous modulus.
+            Terms of a Prony series: pairs of a share of the modulus and a relaxation time [s]. With
+            `relaxation`, `modulus_kPa` is the instantaneous modulus.
         law
             Hyperelastic law, with the names and keys of `organ.law` in scenes: ``"neo-hookean"`` or
             ``{"name": "yeoh", "square_ratio": 0.5}``. A hyperelastic law cannot be combined with a
@@ -150,13 +150,14 @@ class Organ:
             As for `from_tetrahedra`.
         edge_mm
             Edge length of the tetrahedra [mm]; default 1/14 of the longest side of the organ's
-            bounding box. Edges at the surface may be much shorter: the mesh follows the surface
-            within a tenth of this length, at most 0.4 mm.
+            bounding box. Edges at the surface may be much shorter: the mesh deviates from the
+            surface by at most a tenth of this length, and by at most 0.4 mm.
         inclusions
             Closed surfaces inside the organ, keyed by name. The volume inside each surface becomes
             a part with this name, whose modulus is in `parts`.
         progress
-            Function that is called with the name of the current work.
+            Function that is called with the name of the current work and its completed share (0 to
+            1).
 
         Raises
         ------
@@ -222,7 +223,8 @@ class Organ:
         edge_mm
             Edge length of the tetrahedra [mm]; default 1/14 of the longest side.
         progress
-            Function that is called with the name of the current work.
+            Function that is called with the name of the current work and its completed share (0 to
+            1).
 
         Raises
         ------
@@ -340,7 +342,7 @@ class Organ:
         ----------
         edge_mm
             Longest edge at the points `near_mm` [mm]. Away from these points, the longest edge
-            increases by half of the distance to the nearest of them.
+            increases by half of the distance to the nearest point.
         near_mm
             Points [mm], shape (k, 3) or (3,), near which the mesh is refined; default the whole
             surface. Each point is moved to the nearest point of the surface. From the second press

@@ -26,16 +26,16 @@ MOST_NAMED = 12
 LONG = 28
 """Length of the longest name [letters] above which a line of the legend holds only two names."""
 SMALL = 0.05
-"""Ratio to the largest force component, below which a force component is not drawn."""
+"""Smallest ratio of a drawn force component to the largest force component."""
 MAINLY = 0.5
-"""Share of the path in contact that the depth must cover for a plot over depth."""
+"""Ratio of depth to path length in contact, above which depth is the default abscissa."""
 WIDTHS = 2.2, 1.0
 """Line widths of the first and last curve [points]; wide curves stay visible below thin ones."""
 THRUST, ACROSS_X, ACROSS_Y, TORQUE = range(4)
 FORCES = ("thrust / N", "force across\nthe tool, x / N", "force across\nthe tool, y / N")
 LOW = 0
 HIGH = -1
-"""Indices of the 5 % and 95 % quantiles in an uncertainty band."""
+"""Index of the 95 % quantile in an uncertainty band; `LOW` is the index of the 5 % quantile."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ def chosen_over(curves: Sequence[Curve]) -> Over:
 
 
 def _mainly_descends(trace: "Table") -> bool:
-    """Return whether the depth covers most of the tip's path in contact."""
+    """Return True if the depth is more than half of the length of the tip's path in contact."""
     contact, height = _heights(trace)
     steps = np.linalg.norm(np.diff(trace.vectors("tool", "mm"), axis=0), axis=1)
     descent = height[deepening_rows(height, contact)]
@@ -126,8 +126,9 @@ def overlay(
     curves
         Runs in the order of the legend.
     over
-        ``time``; or ``depth`` below the point of first contact, in the ticks in which the tip is
-        deeper than before. See `chosen_over` for the default.
+        ``time``; or ``depth`` below the point of first contact. Over depth, only the ticks are
+        drawn in which the tip is deeper than in all earlier ticks. See `chosen_over` for the
+        default.
     about_axis
         Whether to draw the torque about the tool's axis. Otherwise the magnitude of the torque
         vector is drawn.

@@ -99,7 +99,7 @@ def check_parameters(kind: str, given: str, part: Any) -> None:
 def checked_numbers(
     kind: Any, numbers: Any, *, needed: Sequence[str] = (), of: str = "numbers"
 ) -> dict[str, float]:
-    """Return the values in an instance of `kind`, or in a mapping after checks."""
+    """Return a dict of the values in an instance of `kind`, or in a mapping, which is validated."""
     if isinstance(numbers, kind):
         return asdict(numbers)
     if not isinstance(numbers, Mapping):

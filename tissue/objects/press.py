@@ -32,18 +32,18 @@ if TYPE_CHECKING:
     from tissue.models.organ.soft_organ import SoftOrgan
 
 SLOPE_SHARE = 0.1
-"""Last share of the depth, over which the stiffness is computed: 10 of 100 steps."""
+"""Share of the depth over which the stiffness is computed: the last 10 of 100 steps."""
 FAR = 0.1
 """Largest accepted ratio of a point's distance from the surface to the organ's longest side.
 
-A point farther away is treated as a mistake, for example in the unit. The value is chosen.
+A point farther away is treated as a mistake, for example in the unit. The value is a design choice.
 """
 NEAR_M = 1e-4
 """Distance from the surface below which a point counts as a point of the surface [m]."""
 TOOL_EDGES = 4.0
 """Recommended number of mesh edges across the diameter of the tool; also the default in scenes."""
 FALLS = 0.05
-"""Accepted relative decrease of the force with depth, which occurs as nodes enter the contact."""
+"""Accepted relative decrease of the force with depth; it occurs when nodes enter the contact."""
 LONG = 1.25
 """Ratio of edge length to recommended edge length, above which a note is added to the result.
 
@@ -56,7 +56,7 @@ ACROSS = 7
 """Number of tool positions along each axis of the region in which a loop can touch the organ.
 
 The nodes that can get into contact are searched with a margin around each position, so the
-positions need not be close together. The number is not measured but chosen.
+positions need not be close together. The number is a design choice.
 """
 LAW_INTERVAL_S = 0.025
 """Time between two solutions of the hyperelastic deformation in a loop [s]."""
@@ -444,8 +444,8 @@ def _linear(probe: ProbeShape, depth_m: float) -> dict[str, str]:
 def _across(along: Any) -> Any:
     """Return a direction perpendicular to a press.
 
-    The direction is the component of -y perpendicular to the press, or of x if the press is nearly
-    parallel to y.
+    The direction is the component of -y that is perpendicular to the press. If the press is nearly
+    parallel to y, the component of x is used.
     """
     # A press nearly parallel to y leaves no usable perpendicular component of y.
     first = np.array([0.0, -1.0, 0.0]) if abs(along[1]) < 0.9 else np.array([1.0, 0.0, 0.0])

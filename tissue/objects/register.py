@@ -344,7 +344,7 @@ def _added(
 SOFT = ("modulus_kPa", "poisson_ratio", "density_kg_m3")
 """Constants that every material of a soft organ must have."""
 CAPSULE = "_capsule"
-"""Suffix of the names of capsules, which are membranes on organs and no materials of organs."""
+"""Suffix of the names of capsules: membranes on organs, which cannot be an organ's material."""
 
 
 def _scene_name(path: Path) -> str:

@@ -350,9 +350,9 @@ def _is_interactive() -> bool:
 
 GHOSTS = "vtkGhostType"
 HIDDEN = 32
-"""Name of the cell array with which VTK hides cells, and bit that marks a hidden cell.
+"""Bit that marks a hidden cell of VTK, ``vtkDataSetAttributes::HIDDENCELL``.
 
-The bit is ``vtkDataSetAttributes::HIDDENCELL``.
+`GHOSTS` is the name of the cell array that contains this bit.
 """
 
 
@@ -473,7 +473,7 @@ def report(
     overwrite
         Whether to replace an existing file.
     progress
-        Function that is called with the name of the current work.
+        Function that is called with the name of the current work and its completed share (0 to 1).
 
     Returns
     -------

@@ -67,8 +67,8 @@ def simulate(
         device apply to it. By default, the device of the scene is simulated, unless a real device
         was registered under its name. The device gives positions of the tool's tip in the frame of
         the scene [m]; ``coupling.motion_scale`` multiplies their distances from the start of the
-        path. The run is as fast as possible, or paced by the wall clock if the device has the
-        attribute ``real_time = True``. A read that takes longer than 2.5 ms on the wall clock gives
+        path. The run is as fast as possible. If the device has the attribute ``real_time = True``,
+        the run follows the wall clock. A read that takes longer than 2.5 ms on the wall clock gives
         no sample, unless the device has ``in_process = True``. See
         `tissue.simulation.simulate.simulate`.
     on_tick

@@ -77,8 +77,8 @@ class Knock(WallRun):
     Attributes
     ----------
     given_J
-        Total energy that the motors of the device delivered to the hand [J]. It is negative if the
-        motors absorbed energy.
+        Total work of the motors on the moving mass of the device [J]. It is negative if the motors
+        absorbed energy.
     """
 
     given_J: float
@@ -90,8 +90,8 @@ def knock(
 ) -> Knock:
     """Simulate a hand that presses a device against a virtual wall, and disturb it with a force.
 
-    The hand holds the device 5 mm inside the wall. After 0.8 s, a force of 2 N pulls the device
-    outward for 20 ms. The hand has neither noise nor tremor. Sustained motion after the pull
+    The target position of the hand is 5 mm inside the wall. After 0.8 s, a force of 2 N pulls the
+    device outward for 20 ms. The hand has neither noise nor tremor. Sustained motion after the pull
     therefore shows that the control loop is unstable.
 
     Parameters

@@ -69,7 +69,7 @@ def run(
     retry
         Whether to run failed trials again.
     progress
-        Function that is called with the name of the current work and its completed share.
+        Function that is called with the name of the current work and its completed share (0 to 1).
 
     Raises
     ------
@@ -81,7 +81,7 @@ def run(
 
 @suggests_arguments
 def trial(plan: Plan, name: str) -> Trial:
-    """Run one trial of a plan; the result is bit-identical to that of the trial in the study.
+    """Run one trial of a plan; the result is bit-identical to the result in the study.
 
     Parameters
     ----------

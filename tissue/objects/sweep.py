@@ -169,7 +169,7 @@ class Sweep:
         return Comparison({each.name: each.open() for each in self.finished})
 
     def plot(self, figures: list[str] | None = None) -> NDArray[np.object_]:
-        """Plot summary values over the first swept key; each value of the second key is a line.
+        """Plot summary values over the first swept key, with a line for each value of the second.
 
         Wide bars show 90 % intervals, if the runs have uncertainty bands.
 
@@ -298,7 +298,7 @@ def sweep(
         an uncertainty band, and ``compare.png`` shows the bands. Finished runs without a band are
         run again.
     overwrite
-        Run finished runs again.
+        Whether to run finished runs again.
     progress
         As for `tissue.simulate`.
 
@@ -449,7 +449,8 @@ def _unfinished(
 def _holds(path: Path, scene: Scene) -> bool:
     """Return whether the folder holds a run of this scene.
 
-    If the scene requires a fidelity, it is compared with the settings that meet this requirement.
+    In a scene with a fidelity requirement, the requirement is first replaced by the settings that
+    meet it.
     """
     from tissue.evaluation.charts.frontier import with_fidelity
 
@@ -462,7 +463,7 @@ def _holds(path: Path, scene: Scene) -> bool:
 def _results(
     run: "partial[str]", left: list[tuple[SweptRun, bool]], *, workers: int, report: Progress
 ) -> Iterator[tuple[str, str]]:
-    """Run the remaining runs; yield the name, and the error message or an empty text, of each."""
+    """Run the remaining runs; yield each run's name and error message (empty without an error)."""
     total = len(left)
     jobs = [
         (each.path, each.scene.model_dump_json(exclude_unset=True), replaces)
@@ -490,7 +491,7 @@ def _share(report: Progress, name: str, number: int, total: int, doing: str, sha
 
 
 def _same_share(report: Progress, doing: str, share: float = 1.0) -> None:
-    """Report a message with the completed share 1, whatever the given share is."""
+    """Report a message with the completed share 1, independent of the given share."""
     report(doing, 1.0)
 
 

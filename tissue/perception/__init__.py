@@ -1,4 +1,4 @@
-"""Scaling of forces for an observer, a person or a model of a person who perceives them."""
+"""Scaling of forces for an observer, who is a person or a model of a person."""
 
 from tissue.perception.perceived import Perception
 

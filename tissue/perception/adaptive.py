@@ -24,8 +24,8 @@ BASES_N = (0.3, 0.8, 2.0)
 STEP_COUNT = 25
 """Number of steps (differences of two forces) for each base force in `BASES_N` [N].
 
-A base force is the smaller force of a pair. With these values, the RMS error of the threshold is 20
-% (300 simulated observers, 80 trials). With one base force instead of three, or with 12 or 50
+A base force is the smaller force of a pair. With three base forces and 25 steps, the RMS error of
+the threshold is 20 % (300 simulated observers, 80 trials). With one base force, or with 12 or 50
 steps, the error is between 19 and 21 %.
 """
 STEPS = (0.005, 1.5)
@@ -70,7 +70,7 @@ PRIOR_SHAPE = 2.0
 PRIOR_SCALE = 0.12
 """Scale of the inverse-gamma prior of sigma^2, whose shape is `PRIOR_SHAPE`.
 
-sigma is the relative scatter of reported numbers. The prior mean of sigma^2 is 0.12, which
+Here sigma is the relative scatter of reported numbers. The prior mean of sigma^2 is 0.12, which
 corresponds to a scatter of about 0.3.
 """
 
@@ -80,11 +80,11 @@ class ThresholdPrior:
     """Prior of Weber fraction, low-force term and lapse rate on a grid.
 
     The Weber fraction has a log-normal prior between two bounds. The low-force term has a
-    log-normal prior between 0.05 and 0.8 N, with a median of 0.2 N and a standard deviation of a
-    factor of 1.65. The lapse rate (share of accidental wrong answers) has the prior Beta(0.5, 5),
-    truncated at 0.2. Schuett et al. (2016) use Beta(1, 10), which has the same mean and twice the
-    weight. Grid cells of the Weber fraction have equal width in the logarithm. Grid cells of the
-    lapse rate are narrow at small rates. Otherwise the thresholds of observers with few lapses
+    log-normal prior between 0.05 and 0.8 N, with a median of 0.2 N and a geometric standard
+    deviation of 1.65. The lapse rate (share of accidental wrong answers) has the prior Beta(0.5,
+    5), truncated at 0.2. Schuett et al. (2016) use Beta(1, 10), which has the same mean and twice
+    the weight. Grid cells of the Weber fraction have equal width in the logarithm. Grid cells of
+    the lapse rate are narrow at small rates. Otherwise the thresholds of observers with few lapses
     would be estimated 12 % too low.
 
     Attributes

@@ -33,8 +33,8 @@ HYPER = (
 )
 """Names of the parameters of the population.
 
-They are means and standard deviations of the observers' parameters over people. ``variance`` is the
-mean of sigma squared.
+They are the mean and the standard deviation, over people, of each parameter of an observer.
+``variance`` is the mean of sigma squared.
 """
 VARIANCE_SHAPE = 10.0
 """Shape of the inverse-gamma distribution of sigma squared over people.
@@ -147,12 +147,12 @@ def fit_hierarchy(
     The sampler is NUTS, the No-U-Turn sampler of Hoffman and Gelman (2014), in NumPyro.
 
     The parameters ln alpha, beta, ln kappa and ln offset of an observer have normal distributions
-    over the population. sigma squared has an inverse-gamma distribution, and lapse rates have
-    the distribution Beta(1, 10). Means over observers have wide priors around published values, and
-    standard deviations over observers have half-normal priors. ln kappa and ln offset are
-    parametrised as deviations from the mean (non-centred), because the trials of one observer
-    contain little information about them. ln alpha and beta are parametrised directly (centred),
-    because the trials of one observer contain enough information about them.
+    over the population. The variance sigma squared has an inverse-gamma distribution, and lapse
+    rates have the distribution Beta(1, 10). Means over observers have wide priors around published
+    values, and standard deviations over observers have half-normal priors. The trials of one
+    observer contain little information about ln kappa and ln offset, which are therefore
+    parametrised as deviations from the mean (non-centred). They contain enough information about ln
+    alpha and beta, which are parametrised directly (centred).
 
     Parameters
     ----------
@@ -160,11 +160,12 @@ def fit_hierarchy(
         Trials of at least three observers.
     seed
         Seed of the random draws.
-    warm_up, draws
-        Number of tuning draws per chain (`warm_up`), and number of draws that are kept per chain
-        (`draws`). For eight observers with 60 comparisons and 12 reported numbers each, the
-        effective sample size is 444 to 499 with 600 kept draws, and 230 with 300. A warm-up of 300
-        draws is enough in this case.
+    warm_up
+        Number of tuning draws per chain.
+    draws
+        Number of draws that are kept per chain. For eight observers with 60 comparisons and 12
+        reported numbers each, the effective sample size is 444 to 499 with 600 draws, and 230 with
+        300. A warm-up of 300 draws is enough in this case.
     progress
         True to show a progress bar for each chain.
 

@@ -124,8 +124,8 @@ class Intensity:
         """Return the forces [N] that have given expected intensities, in an array of any shape.
 
         Because ln E[S] is quadratic in ln F, two forces may have the same expected intensity. The
-        larger one is returned, where the intensity increases with the force. The force is 0 for
-        zero intensity.
+        larger force is returned, because the intensity increases with the force there. The force is
+        0 for zero intensity.
 
         Raises
         ------
@@ -208,10 +208,10 @@ class Weber:
 
 
 def weber_of(observer: Observer, *, quantile: float = 0.5) -> Weber:
-    """Return the law for an observer's force threshold, for a quantile of the Weber fraction.
+    """Return Weber's law of an observer's force threshold [N], at a quantile of the Weber fraction.
 
-    The quantile is that of the observer's posterior. With 0.1, for example, the true threshold of
-    the person is larger than the returned threshold with a probability of 90 %. The unit is N.
+    The quantile refers to the observer's posterior. With 0.1, for example, the person's true
+    threshold exceeds the returned threshold with a probability of 90 %.
     """
     spread = float(np.sqrt(max(observer.covariance[2, 2], 0.0)))
     return Weber(
@@ -222,8 +222,8 @@ def weber_of(observer: Observer, *, quantile: float = 0.5) -> Weber:
 NODES = 4097
 """Number of nodes of a `LogTable`.
 
-For tables over five decades of force, the relative interpolation error is below 1e-6. It was
-computed for observers whose exponent has a standard deviation of at most 0.5.
+For tables over five decades of force, the relative interpolation error is below 1e-6. This holds
+for observers whose exponent has a standard deviation of at most 0.5.
 """
 
 
@@ -286,17 +286,20 @@ class ForceMap:
     ----------
     reference, observer
         Intensity laws of the reference observer, and of the observer that feels the command.
-    lowest_N, knee_N
-        Force below which the map is a straight line [N], above 0. Largest force that the device
-        plays uncompressed [N], above `lowest_N`.
+    lowest_N
+        Positive force below which the map is a straight line [N].
+    knee_N
+        Force, above `lowest_N`, up to which the device plays commands uncompressed [N].
 
     Attributes
     ----------
     gain
         Common factor of all forces, at most 1.
-    table, intensity, spread
-        Three tables: the command [N] as a function of the force, and mean and standard deviation of
-        the perceived intensity as functions of the command.
+    table
+        Table of the command [N] as a function of the force.
+    intensity, spread
+        Tables of the mean and the standard deviation of the perceived intensity, as functions of
+        the command.
     steepest
         Largest slope of the map, which is the largest factor by which it increases the stiffness of
         a contact.

@@ -19,11 +19,12 @@ from tissue.materials.constants import constants
 PARAMETERS = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
 """Names of the parameters of an observer's force perception.
 
-alpha, beta and sigma are the factor, the exponent and the relative scatter in Stevens' law. The
-intensity at a force F is S = alpha (F / 1 N)^beta (1 + sigma e), where e is a random number with
-variance 1. kappa and offset_N are the Weber fraction and the low-force term in Weber's law. For two
-forces that differ by kappa (F + offset_N), 75 % of the answers about the larger force are right,
-apart from lapses. lapse is the share of wrong answers for large differences.
+The parameters alpha, beta and sigma are the factor, the exponent and the relative scatter in
+Stevens' law. The intensity at a force F is S = alpha (F / 1 N)^beta (1 + sigma e), where e is a
+random number with variance 1. The parameters kappa and offset_N are the Weber fraction and the
+low-force term in Weber's law. For two forces that differ by kappa (F + offset_N), 75 % of the
+answers about the larger force are right, apart from lapses. The parameter lapse is the share of
+wrong answers for large differences.
 """
 BOUNDS = {
     "alpha": (1e-3, 1e3),
@@ -298,10 +299,10 @@ def _from(parameter: str, coordinate: Array | np.float64) -> Array:
 class Population:
     """Distribution over people of the parameters of force perception.
 
-    alpha, the Weber fraction and the low-force term have log-normal distributions. The mean of
-    alpha is 1, because the unit of intensity is the average intensity at 1 N. beta has a normal
-    distribution, sigma squared an inverse-gamma distribution, and the lapse rate a logit-normal
-    distribution.
+    The factor alpha, the Weber fraction and the low-force term have log-normal distributions. The
+    mean of alpha is 1, because the unit of intensity is the average intensity at 1 N. The exponent
+    beta has a normal distribution, sigma squared an inverse-gamma distribution, and the lapse rate
+    a logit-normal distribution.
 
     Attributes
     ----------
@@ -354,8 +355,8 @@ def population() -> Population:
 def population_observer() -> Observer:
     """Return the observer for a person without a calibration: the distribution over people.
 
-    The observer has the same distribution as `population`, except that ln sigma becomes normal with
-    equal mean and variance.
+    The observer has the same distribution as `population`, except that ln sigma has a normal
+    distribution with the same mean and the same variance.
     """
     people = population()
     scale = (people.sigma_shape - 1.0) * people.sigma**2

@@ -156,10 +156,10 @@ class Sense:
 
     The person observes the force once in each tick. The filter has the constant gain G = 1 - exp(-T
     / tau), where T is the duration of a tick, and tau is the time over which a person averages
-    force. The estimate of a constant force has the standard deviation s. It is chosen so that a
-    change of the force by one threshold has the sensitivity d' = 0.954. An observation therefore
-    has the variance r = s^2 (2 - G) / G. The filter is the Kalman filter for a random walk of the
-    force with the variance q = G^2 r / (1 - G) per tick.
+    force. The estimate of a constant force has the standard deviation s. With this s, a change of
+    the force by one threshold has the sensitivity d' = 0.954. An observation therefore has the
+    variance r = s^2 (2 - G) / G. The filter is the Kalman filter for a random walk of the force
+    with the variance q = G^2 r / (1 - G) per tick.
 
     Attributes
     ----------
@@ -208,7 +208,7 @@ class PerceivedForce:
     ----------
     steepest
         Largest slope of the command over the force. The stability check multiplies the stiffness of
-        a virtual wall by it.
+        a virtual wall by this slope.
     """
 
     def __init__(self, law: ForceMap, deadband: Deadband, sense: Sense, *, sentence: str) -> None:

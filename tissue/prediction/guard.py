@@ -44,7 +44,8 @@ predictor minus the squared errors of the zero-order hold.
 MOST_DEBT = 20.0
 """Largest sum in the comparison with the zero-order hold, in units of `LEAST_N`^2.
 
-After three seconds with equal errors of both, the sum has decayed to an accepted value.
+From this limit, the sum decays to the accepted value `LEAST_N`^2 in three seconds if predictor and
+zero-order hold have equal errors.
 """
 PROBATION = 50
 """Number of ticks for which a predictor must be trusted before it is used again."""
@@ -66,8 +67,8 @@ class Guarded:
     fallback's force. The predictor loses trust in three cases. First, it reports that it is not
     trusted. Second, the recent errors of its predictions are larger than the errors of the
     fallback. Third, over a longer time, its errors are larger than the errors of a zero-order hold.
-    In this case, predicted contacts that did not happen also count as errors. When trust is lost,
-    the weight falls from 1 to 0 in `BLEND` ticks, so that the force does not jump. After
+    In this comparison, predicted contacts that did not happen also count as errors. When trust is
+    lost, the weight falls from 1 to 0 in `BLEND` ticks, so that the force does not jump. After
     `PROBATION` ticks of trust, the weight increases at the same rate. The difference is limited to
     ``reach_N``. If the difference is not finite, the last finite difference is used.
 
@@ -101,7 +102,7 @@ class Guarded:
         self._over_held = 0.0
 
     def meet(self, contact: Contact) -> None:
-        """Pass the contact to those of predictor and fallback that use contacts."""
+        """Pass the contact to the predictor and to the fallback, if they use contacts."""
         for each in self._shown:
             each.meet(contact)
 
@@ -226,7 +227,7 @@ class Observes(Protocol):
         ...
 
     def predict(self, ticks: float) -> Array:
-        """Return the force [N], shape (3,), predicted some ticks after the last observation."""
+        """Return the predicted force [N], shape (3,), `ticks` ticks after the last observation."""
         ...
 
 

@@ -22,7 +22,7 @@ A shorter time without force may be caused by chatter of a cutting tool, and doe
 contact.
 """
 REMEMBERED = 0.95
-"""Factor by which the weight of past forces decays in a tick, for the direction of the force.
+"""Factor per tick by which the weight of a past force decays in the estimated force direction.
 
 The direction is estimated from past forces, because a force close to zero has no reliable
 direction.
@@ -74,8 +74,9 @@ class Koopman:
 
         In a tick without a force, the force at the new device position is computed from the last
         contact. The predicted force is not used as an observation, because a predicted stretch and
-        measured displacements do not belong to the same motion. When it was used, with a tissue
-        that responds every tenth tick, the predicted stretch grew without bound within seconds.
+        measured displacements do not belong to the same motion. In a test with a tissue that
+        responds every tenth tick, using the predicted force made the predicted stretch grow without
+        bound within seconds.
         """
         if self._spring == 0.0:
             if force_N is not None:

@@ -58,8 +58,8 @@ class AdaptivePath(DelayPath):
     def observe(self, position_m: Array, stretch_m: Array, filtered_m: Array | None = None) -> None:
         """Update with a sample, and add the newest tick with known targets to the fit.
 
-        The targets are the displacements to later positions and the changes of the stretch. The
-        positions are those filtered for the coupling.
+        The targets are the displacements to later positions and the changes of the stretch. If the
+        coupling filters the position, the later positions are filtered.
         """
         super().observe(position_m, stretch_m)
         past = self._past

@@ -33,7 +33,7 @@ class Predictor(Protocol):
         ...
 
     def predict(self, ticks: float) -> Array:
-        """Return the force [N], shape (3,), predicted some ticks after the last observation.
+        """Return the predicted force [N], shape (3,), at `ticks` ticks after the last observation.
 
         For zero ticks, the result is the present force. The number of ticks need not be a whole
         number, because the delay of a force on its path to the motor is not a whole number of
@@ -87,9 +87,11 @@ class Contact:
     stiffness_N_m
         Stiffness -dF/dx of the tissue at the tool [N/m], shape (3, 3). None if the tissue does not
         provide its stiffness.
-    gap_m, normal
-        Distance of a free tool from the tissue's surface [m], and outward unit normal of the
-        surface, shape (3,). The distance is infinite if the tissue does not provide it.
+    gap_m
+        Distance of a free tool from the tissue's surface [m]; infinite if the tissue does not
+        provide it.
+    normal
+        Outward unit normal of the surface, shape (3,).
     surface_N_m
         Stiffness of the surface below a free tool, along the normal [N/m]; infinite if it is not
         known.

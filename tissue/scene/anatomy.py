@@ -72,8 +72,8 @@ class Drilled(CutAnatomy):
     guide_hole_diameter_mm: Annotated[float, Needs("anatomy.guide_hole_depth_mm")] = Field(
         0.0, ge=0, le=50
     )
-    """Diameter of a guide hole in the bone along the tool's axis, which exists before the run. With
-    0 there is no hole.
+    """Diameter of the guide hole that the bone has before the run, along the tool's axis. With 0
+    there is no hole.
     """
     guide_hole_depth_mm: Annotated[float, Needs("anatomy.guide_hole_diameter_mm")] = Field(
         0.0, ge=0, le=100
@@ -82,22 +82,22 @@ class Drilled(CutAnatomy):
 
 
 class Placed(Drilled):
-    """Bone from a file, placed with its site, where the tool works, at the origin."""
+    """Bone from a file, placed so that the site where the tool works is at the origin."""
 
     file: FileName = Field(examples=["scapula.stl"])
     """Surface file (.stl .obj .ply .vtk .vtp), image volume, or folder of TIFF or PNG slices."""
     centre_mm: Vector | None = Field(None, examples=[(0.0, 0.0, 0.0)])
-    """Centre of the site, where the tool works, in the file's frame. It becomes the origin. Without
-    this key, the program searches for the articular surface of a glenoid.
+    """Centre of the site where the tool works, in the file's frame. The centre becomes the origin.
+    Without this key, the program searches for the articular surface of a glenoid.
     """
     normal: Annotated[Vector | None, Needs("anatomy.centre_mm")] = Field(
         None, examples=[(0.0, 0.0, 1.0)]
     )
-    """Outward normal of the bone's surface at the site, in the file's frame. It becomes the z
-    axis.
+    """Outward normal of the bone's surface at the site, in the file's frame. The normal becomes the
+    z axis.
     """
     along: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
-    """Direction in the file's frame whose component perpendicular to `normal` becomes x."""
+    """Direction in the file's frame; its component perpendicular to `normal` becomes the x axis."""
     cortical_thickness_mm: float = Field(1.5, gt=0, le=10)
     """Thickness of the cortical bone below the surface of the bone."""
 
@@ -224,7 +224,7 @@ class BlockImage(Block, ImageAnatomy):
 
 
 class Bone(Part):
-    """Bone from a file; its origin is a site on its surface, where the tool works.
+    """Bone from a file, with the origin at the site of its surface where the tool works.
 
     One of three inputs determines the cortical and trabecular layers: an image of the density, a
     surface around the trabecular bone, or a uniform thickness of the cortical bone.
@@ -394,8 +394,8 @@ class VertebraAnatomy(Drilled):
     pedicle_height_mm: float = Field(14.8, ge=8, le=22)
     """Height of the pedicle."""
     pedicle_angle_deg: float = Field(17.7, ge=0, le=35)
-    """Angle between the pedicle's axis and the front-back direction, towards the midline at the
-    front.
+    """Angle between the pedicle's axis and the front-back direction. The axis approaches the
+    midline towards the front.
     """
     pedicle_cortex_mm: float = Field(1.0, ge=0.3, le=3)
     """Thickness of the cortical bone of pedicle and arch."""

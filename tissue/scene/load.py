@@ -1,6 +1,7 @@
 """Loading of scenes by name or from TOML files, with overrides.
 
-Files of tissue 0.2 have the keys of the table ``device`` at the top level. They are converted.
+Files of tissue 0.2 have the keys of the table ``device`` at the top level. Such files are
+converted.
 """
 
 import tomllib
@@ -31,7 +32,7 @@ FORMAT = 2
 In a file without the key ``format``, the version is recognised from the other keys.
 """
 FIRST_WITHOUT_IDLE_KEYS = 2
-"""First file format in which the scene that a run saves contains no keys without effect."""
+"""First file format in which a scene saved by a run contains only keys that have an effect."""
 OF_DEVICE = ("hand", "renderer", "prediction", "perception", "coupling", "hardware")
 """Keys of the table ``device`` that were at the top level in tissue 0.2.
 
@@ -135,7 +136,7 @@ PARTS_WITH_FILES = ("anatomy", "motion", "tool", "device")
 RECORDED = "recorded"
 """Name of the device that replays a recording; its address is the path of a file."""
 REPLACED_DEVICE = "touch"
-"""Device of a live run if the scene names no device; the mouse moves the tool in its place."""
+"""Device of a live run if the scene names no device; the mouse replaces the real device."""
 
 
 def library_names() -> list[str]:
@@ -267,9 +268,9 @@ def changed(scene: Scene, overrides: Mapping[str, object]) -> Scene:
 
 
 def changed_scene(scene: Scene, overrides: Mapping[str, object]) -> tuple[Scene, set[str]]:
-    """Return a copy of a scene with some values replaced, keyed by dotted key, and removed keys.
+    """Return a copy of a scene with some values replaced, and the keys that had to be removed.
 
-    The value None resets a key to its default.
+    `overrides` has the new values, keyed by dotted key. The value None resets a key to its default.
 
     Raises
     ------

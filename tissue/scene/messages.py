@@ -32,7 +32,8 @@ class _Place:
     Attributes
     ----------
     names
-        Names of the tables around the key, from the outside, and name of the key.
+        Names of the tables that contain the key, the outermost table first, then the name of the
+        key.
     table
         Table, as given by the user, that contains the key.
     model
@@ -172,7 +173,7 @@ def _idle_error(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle
 
 
 def _unknown_key(place: _Place, table: Table, model: type[BaseModel]) -> InputError:
-    """Return the error for a key that the table of its kind does not have.
+    """Return the error for a key that its table does not have with the chosen kind.
 
     The message suggests similar keys of this table, of this table with another kind, or of another
     table.
@@ -252,7 +253,7 @@ def _meant(names: Key, keys: Mapping[Key, bool]) -> list[Key]:
 def _keys(
     table: Table, model: type[BaseModel], inside: Key = (), *, present: Key = ()
 ) -> Iterator[tuple[Key, bool]]:
-    """Yield the keys of all tables, each with True if the table has it with its chosen kind.
+    """Yield the keys of all tables, each with True if its table has the key with the chosen kind.
 
     Keys that a table would have with another kind are yielded only for the table `present` and for
     the motion.
@@ -383,7 +384,10 @@ def entries(table: Table, prefix: str = "") -> Iterator[tuple[str, object]]:
 
 
 def _shown(value: object) -> str:
-    """Return an invalid value as text, with decimal point and quotes, which may be the fault."""
+    """Return an invalid value as text.
+
+    Quotes and decimal point are kept, because they may be the fault.
+    """
     if isinstance(value, float) and value.is_integer():
         return repr(value)
     return f'"{shown(value)}"' if isinstance(value, str) and value[:1].isdigit() else shown(value)

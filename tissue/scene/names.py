@@ -171,7 +171,7 @@ PROBES = Registry(
 NEEDLES: Registry[Callable[..., Any] | None] = Registry(
     "tool.kind", {"needle": None}, group="tissue.needles"
 )
-"""Needles: for a registered needle, a function that returns the tissue that it pierces.
+"""Needles; the entry of a registered needle is a function that returns the needle's tissue.
 
 The argument ``walls`` of the function contains the membranes in the tissue, ordered by depth.
 """
@@ -210,7 +210,7 @@ RENDERERS: Registry[Callable[..., Any] | None] = Registry(
     },
     group="tissue.renderers",
 )
-"""Rendering laws: for a registered law, a function that makes it from a `WallLoop`."""
+"""Rendering laws; the entry of a registered law is a function that makes it from a `WallLoop`."""
 
 
 PREDICTORS = Registry(
@@ -240,12 +240,12 @@ CUTTING_MATERIALS: Registry[tuple[str, str]] = Registry(
     {name: ("cutting", name) for name in ("bone", "enamel", "dentin", "soft")},
     group="tissue.materials",
 )
-"""Materials that are cut: table and name in `tissue.materials.constants`, keyed by scene name."""
+"""Materials to cut, keyed by name in scenes: table and name in `tissue.materials.constants`."""
 ORGAN_MATERIALS: Registry[tuple[str, str]] = Registry(
     "organ.material",
     {name: ("soft", name) for name in ("liver", "pressed_liver", "kidney")},
     group="tissue.materials",
 )
-"""Materials of organs: table and name in `tissue.materials.constants`, keyed by scene name."""
+"""Materials of organs, keyed by name in scenes: table and name in `tissue.materials.constants`."""
 SCENES: Registry[Path] = Registry("scene", {}, group="tissue.scenes")
 """Files of registered scenes, keyed by scene name; built-in scenes are not included."""

@@ -91,9 +91,11 @@ class LiverFile(Held):
     becomes the origin.
     """
     normal: Vector = (0.0, 0.0, 1.0)
-    """Direction from the organ to the tool, in the file's frame. It becomes the z axis."""
+    """Direction from the organ to the tool, in the file's frame. This direction becomes the z
+    axis.
+    """
     along: Vector | None = Field(None, examples=[(1.0, 0.0, 0.0)])
-    """Direction in the file's frame whose component perpendicular to `normal` becomes the x axis.
+    """Direction in the file's frame; its component perpendicular to `normal` becomes the x axis.
     """
 
 
@@ -108,7 +110,10 @@ class SlabAnatomy(WithNodule):
     size_mm: Annotated[tuple[Length_mm, Length_mm, Length_mm], Strict(False)] = (120.0, 80.0, 40.0)
     """Edge lengths along x, y and z."""
     edge_mm: float = Field(8.0, ge=0.5, le=20)
-    """Edge length of the tetrahedra at the top face, far from the tool. It increases downwards."""
+    """Edge length of the tetrahedra at the top face, far from the tool.
+
+    The edge length increases downwards.
+    """
 
 
 def _apart(depths_mm: dict[str, float]) -> dict[str, float] | None:

@@ -36,7 +36,7 @@ SURFACE_SUFFIXES = (".stl", ".obj", ".ply", ".vtk", ".vtp")
 A path with another suffix, or without a suffix, is an image or a folder of image slices.
 """
 LAYERS = ("enamel", "dentin", "pulp", "caries", "ligament")
-"""Layers of a tooth, for each of which a scene can name a surface file."""
+"""Layers of a tooth; a scene can name a surface file for each layer."""
 
 T = TypeVar("T")
 
@@ -231,9 +231,9 @@ SOURCES = {
     "surface": ("from a surface", "from a file", "from labels"),
     "image": ("from an image", "from labels", "from a file"),
 }
-"""Sources of a shape in messages, keyed by the type of the files in the table ``anatomy``.
+"""Names of the source of a shape in messages, keyed by the type of the files in ``anatomy``.
 
-The first source for which the chosen kind has a table class is used.
+A message uses the first name for which the chosen kind has a table class.
 """
 
 

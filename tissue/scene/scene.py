@@ -86,8 +86,8 @@ class KeepClear(Part):
     frame of the scene and the unit mm.
     """
     margin_mm: float = Field(0.0, ge=0, le=10, examples=[1.0])
-    """Distance that the tool must keep from each structure. An event reports when the distance is
-    smaller for the first time. With 0, only breaches are reported.
+    """Distance that the tool must keep from each structure. An event reports the first time at
+    which the distance is smaller. With 0, only breaches are reported.
     """
 
     def require_valid(self) -> None:
@@ -115,9 +115,9 @@ class Voxels(Part):
     `binary` removes a whole voxel once its centre is inside the tool.
     """
     margin_mm: float = Field(3.0, ge=0.5, le=50)
-    """Distance from the tool, including its peg, along the motion of the scene, within which bone
-    is simulated. Without a device, a peg that stays in its guide hole does not count, because it
-    touches no bone. If a hand moves the tool out of this region, an event reports it.
+    """Distance within which bone is simulated around the tool and its peg, along the motion of the
+    scene. Without a device, a peg that stays in its guide hole does not count, because it touches
+    no bone. If a hand moves the tool out of this region, an event reports it.
     """
 
 
@@ -234,9 +234,9 @@ class Scene(Part):
     seed: int = Field(0, ge=0, lt=2**63)
     """Seed of all random draws."""
     duration_s: float | None = Field(None, ge=1e-3, le=3600, examples=[5.0])
-    """Simulated time. Default: the duration of the motion. If a simulated hand moves the tool, it
-    needs more time to react and to come to rest: 0.73 s (expert), 0.82 s (intermediate) or 0.9 s
-    (novice). This time is added, unless `duration_s` ends the run before the end of the motion.
+    """Simulated time. Default: the duration of the motion. A simulated hand needs more time to
+    react and to come to rest: 0.73 s (expert), 0.82 s (intermediate) or 0.9 s (novice). This time
+    is added, unless `duration_s` ends the run before the end of the motion.
     """
     anatomy: AnyAnatomy
     """Anatomy on which the tool acts."""

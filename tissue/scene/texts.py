@@ -158,8 +158,9 @@ def scene_for_editors(name: str) -> str:
     """Return the TOML text of a built-in scene, with a first line that locates the JSON schema.
 
     Editors use the schema to complete and check keys. The schema is written to the cache folder,
-    and the first line contains its ``file:`` URL, which Taplo, the TOML toolkit of editors, can
-    read. If the cache folder cannot be written, the text is returned without this line.
+    and the first line contains the ``file:`` URL of the schema. Taplo, the TOML toolkit of many
+    editors, can read this line. If the cache folder cannot be written, the text is returned without
+    this line.
 
     Raises
     ------

@@ -231,8 +231,8 @@ def _write_nrrd(run: CarvedRun, path: Path) -> None:
 def carving_ticks(run: CarvedRun) -> list[int]:
     """Return the ticks for which the bone is written to ``carving.pvd``.
 
-    If the run saves fields, such as displacement, these are ticks at which fields are saved.
-    Otherwise, the ticks have equal intervals. The last tick is always included.
+    If the run saves fields, such as displacement, the result contains ticks at which fields are
+    saved. Otherwise, the ticks have equal intervals. The last tick is always included.
     """
     last = len(run.trace.rows) - 1
     fields = run.parts.fields
@@ -260,8 +260,8 @@ def write_carving(run: CarvedRun, out: Path, *, report: Progress = silent) -> No
     during the run is in ``carving/frame_0000.vtp`` and so on. The rest of the surface is in
     ``carving/rest.vtp``. If the anatomy was read from a file, both surfaces are in the frame and
     unit of that file, otherwise in mm. Both have the arrays ``layer`` and ``removed_depth_mm``. If
-    the changing part has more than `MOST_TRIANGLES` triangles, it is computed again from larger
-    voxels. ``carving/poses.npz`` holds the tool poses. From these poses, the bone at any other tick
+    the changing part has more than `MOST_TRIANGLES` triangles, both surfaces are computed from
+    larger voxels. ``carving/poses.npz`` holds the tool poses, from which the bone at any other tick
     can be computed.
     """
     box = None if run.poses is None else changed_box(run.volume.fraction, run.remaining)

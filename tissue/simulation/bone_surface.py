@@ -143,8 +143,8 @@ def smooth_normals(surface: "pyvista.PolyData", *, passes: int = 16) -> Singles:
     """Return unit normals averaged over neighbours, shape (n, 3).
 
     With these normals, a picture does not show the steps between voxels. The weight of a neighbour
-    increases with the agreement of its normal and the normal at the point. Neighbours whose normal
-    differs by more than 37 degrees, for example across an edge, are ignored. On a ball of binary
+    is the cosine of the angle between its normal and the normal at the point. Neighbours at an
+    angle of more than 37 degrees, for example across an edge, are ignored. On a ball of binary
     voxels, 16 passes reduce the error of the normals from 16 to 6 degrees, and 32 passes to 5.7
     degrees.
     """
@@ -211,7 +211,7 @@ def cut_faces(volume: VoxelVolume, reach_m: tuple[Array, Array]) -> list[tuple[i
 
 
 def _voxels(points_mm: Floats, volume: VoxelVolume) -> Array:
-    """Return positions, shape (n, 3), in units of voxels, where voxel centres are whole numbers."""
+    """Return positions in units of voxels, shape (n, 3); voxel centres are at whole numbers."""
     return (
         np.asarray(points_mm, dtype=np.float64) * 1e-3 - volume.origin_m
     ) / volume.spacing_m - 0.5
@@ -233,7 +233,7 @@ class CarvedSurface:
     Attributes
     ----------
     part
-        Slices that select, from an array with one value per voxel, the part that `of` needs.
+        Slices that select the voxels for `of` from an array with one value per voxel.
     """
 
     def __init__(self, volume: VoxelVolume, box: Box, *, axis: int) -> None:
@@ -309,7 +309,7 @@ def changed_box(before: Bytes, after: Bytes) -> Box | None:
 
 
 def coarse_volume(volume: VoxelVolume, block: int) -> VoxelVolume:
-    """Return the bone in coarser voxels, whose edge is ``block`` times as long.
+    """Return the bone in coarser voxels; their edge is ``block`` times the original edge.
 
     A coarse voxel has the layer and the density of the original voxel at its middle.
     """

@@ -26,31 +26,28 @@ from tissue.simulation.trace import Table
 MOSTLY = 0.5
 """Smallest share of the caries within the tool's reach that a run must remove.
 
-If less is removed, the run contains a note on missed caries.
-
-The share was chosen by judgement.
+If less is removed, the run contains a note on missed caries. The share was chosen by judgement.
 """
 TOLERANCE_MM = 0.05
-"""Difference of requested and reached depth of a thrust [mm] above which a run has a note.
+"""Requested minus reached depth of a thrust [mm], above which a run has a note.
 
 The value is half the default edge of a voxel.
 """
 FAR_RADII = 2.0
-"""Distance of the tool from its path above which a smaller force scale is suggested.
+"""Distance of a tool in contact from its path, above which a smaller force scale is suggested.
 
-The unit is the radius of the tool. With small force scales and a bur of 1 mm, the largest distances
-were 1.0 to 1.4 radii. They were measured with simulated hands, in the scene `molar` and in a
-scanned molar.
+The unit is the radius of the tool. With small force scales and a bur of 1 mm, simulated hands
+reached largest distances of 1.0 to 1.4 radii, in the scene `molar` and in a scanned molar.
 """
 STEADY_SCALE = 0.2
-"""Ratio of the suggested motion scale to that of a run whose tool left its path.
+"""Suggested motion scale, divided by the motion scale of a run whose tool left its path.
 
 The value was chosen by judgement.
 """
 SMALLEST_SCALE = 0.01
 """Smallest motion scale that a scene may have, see `Coupling.motion_scale`."""
 RISING_S = 0.1
-"""Time before the end of a run [s] in which a largest temperature counts as still rising.
+"""Last part of a run [s] in which a maximum of the temperature counts as still rising.
 
 The temperature in the trace changes every 20 ms and has a delay of 20 ms. The value was chosen by
 judgement.
@@ -61,7 +58,7 @@ LEAST_DENSE = 0.001
 The share was chosen by judgement.
 """
 FORWARD = 0.5
-"""Smallest share of the travel in a tick, along the tool's axis, that counts as forward motion.
+"""Smallest ratio of axial travel to travel in a tick that counts as forward motion.
 
 The limit excludes a tool that leaves the bone sideways.
 """
@@ -240,11 +237,11 @@ def path_note(scene: Scene, parts: Parts, apart_mm: dict[str, float] | None) -> 
 
 
 def _too_close_mm(parts: Parts, apart_mm: float) -> dict[str, float]:
-    """Return distances [mm] to structures that the tool came too close to because it left its path.
+    """Return the smallest distances [mm] to structures that the tool came too close to.
 
-    The distances are the smallest distances of the run. A structure is included if the tool
-    breached it or its margin, and came too close by at most ``apart_mm``, the largest distance from
-    the path [mm].
+    ``apart_mm`` is the largest distance of the tool from its path. A structure is included if the
+    tool came closer than the margin by at most ``apart_mm``. The distance from the path can then be
+    the reason.
     """
     found = {}
     kept = {} if parts.keep_clear is None else parts.keep_clear.summary()
@@ -340,8 +337,8 @@ def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> lis
 
     The surface of the bone is where the interpolated content of voxels before the run is one half.
     The time of an exit is interpolated between ticks. Each hole counts as one break-through. An
-    exit belongs to an earlier hole if the tool was at the place of the exit before. This means that
-    the place was behind the tip, at a distance from the tool's axis of less than its radius.
+    exit belongs to an earlier hole if the tool has occupied its place before: the place was behind
+    the tip, and closer to the tool's axis than the radius of the tool.
 
     Parameters
     ----------

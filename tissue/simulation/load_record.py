@@ -9,11 +9,13 @@ the chip thickness do not depend on the coefficients. One run therefore records 
 loads of a unit force per length, at sampled values (nodes) of density and chip thickness. Then::
 
     loads = sum over layers, density nodes and chip nodes h of
-            strength * (K_tc, K_rc, K_ac) effective(h) + (K_te, K_re, K_ae) share(h) . unit loads
+            strength * ((K_tc, K_rc, K_ac) effective(h) + (K_te, K_re, K_ae) share(h)) . unit loads
 
-For ``effective`` and ``share``, see `tissue.materials.constants.effective_chip`. The loads equal
-``model_force`` and ``model_torque`` of a run with the same coefficients. The relative difference is
-at most 1e-6 for a law that is linear in the chip thickness, and at most 0.3 % for other laws.
+Here K are the tangential, radial and axial chip and edge coefficients, and ``strength`` is the
+weight of a density node (`DensityNodes.strengths`). For ``effective`` and ``share``, see
+`tissue.materials.constants.effective_chip`. Compared with ``model_force`` and ``model_torque`` of a
+run with the same coefficients, the relative error is at most 1e-6 for a law that is linear in the
+chip thickness, and at most 0.3 % for other laws.
 """
 
 from copy import deepcopy

@@ -34,7 +34,7 @@ from tissue.system.blas_threads import one_blas_thread
 SWITCH_S = 5e-5
 """Longest time for which a background thread may keep the interpreter from the ticks [s].
 
-The value is a twentieth of a tick. Python's default of 5 ms is five ticks.
+The value is a twentieth of a tick. Python's default is five ticks.
 """
 
 
@@ -69,8 +69,8 @@ class Stepper:
     """Object that moves the tool in each tick and computes the response of the tissue.
 
     The forces are neither processed for a device nor recorded. Every part of the package that
-    simulates ticks uses this class. In a tick, the order of computing force and removing bone does
-    not matter. The reason is that the cutting force depends on the bone before the current pass.
+    simulates ticks uses this class. The cutting force depends on the bone before the current pass
+    of the tool. In a tick, the force may therefore be computed before or after bone is removed.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Stepper:
         Tissue that the tool cuts or presses.
     balances
         Whether to search for the pose at which the tissue force balances the thrust on the tool.
-        The search ends before bone is removed, because a rejected pose must not remove bone.
+        Bone is removed only after the search, at the final pose.
     log
         Record of the poses of a tool that cuts; None to record no poses.
 
@@ -116,8 +116,8 @@ class Stepper:
     def place(self, *, resume: bool = False) -> Response:
         """Put the tool at the start of the motion and return the response there.
 
-        Call this before the first tick. If `resume` is True, the tissue keeps the state in which
-        another loop has left it at the same pose.
+        Call this before the first tick. If `resume` is True, the tissue keeps the state that it has
+        from another loop, which must have ended at the same pose.
         """
         self._motion.meet(self._tissue)
         self._motion.begin(self.tool)
@@ -134,8 +134,8 @@ class Stepper:
     def step(self, index: int, *, step_s: float = TICK_S) -> None:
         """Move the tool by a time step [s] and evaluate the tissue.
 
-        If the tissue model is slow and responds only every few ticks, only the motion advances in
-        the other ticks.
+        A slow tissue model responds only every few ticks. In the other ticks, only the motion
+        advances.
         """
         motion = self._motion
         tissue = self._tissue
@@ -298,7 +298,7 @@ class Loop:
         """Put the tool at the start of the motion; call this before the first tick.
 
         The duration of this call is not recorded in the timing. If `resume` is True, the tissue
-        keeps the state in which another loop has left it at the same pose.
+        keeps the state that it has from another loop, which must have ended at the same pose.
         """
         response = self._stepper.place(resume=resume)
         if self.parts.keep_clear is not None:
@@ -406,7 +406,7 @@ class Loop:
         row[self._loads[np.abs(row[self._loads]) < LEAST_LOAD]] = 0.0
 
     def finish(self) -> None:
-        """Complete the work that the tissue had spread over ticks, and remove unused table rows."""
+        """Complete the tissue's work that is spread over ticks, and remove unused table rows."""
         self.trace.rows = self.trace.rows[: self.ticks]
         self.timing.rows = self.timing.rows[: self.ticks]
         if isinstance(self.parts.tissue, Finishes):

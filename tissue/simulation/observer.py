@@ -1,6 +1,6 @@
 """Observers that are called in every tick of a run, such as the wall clock.
 
-They must not change the result of the run.
+Observers must not change the result of the run.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -29,7 +29,7 @@ to other threads.
 FULL = 0.9
 """Largest share of the processor time that the ticks may use at a raised priority.
 
-If real-time threads have used 95 % of a second, Linux stops them for the rest of this second.
+When real-time threads have used 95 % of a second, Linux stops them for the rest of the second.
 """
 BEHIND = (
     "the ticks were {:.3g} s behind the wall clock in all. The schedule was moved by "
@@ -38,10 +38,8 @@ BEHIND = (
 BEHIND_S = 0.01
 """Largest lateness of a tick [s] for which the following ticks run without waiting.
 
-These ticks run without waiting until the run is on time again. After a larger lateness, the
-schedule is moved.
-
-A person does not feel when up to ten ticks run faster than in real time.
+Ticks wait again when the run is on time. After a larger lateness, the schedule is moved. A person
+does not feel that up to ten ticks run faster than real time.
 """
 SPIN_S = 1.5e-4
 """Time before a tick is due [s] at which the thread stops sleeping and polls the clock.
@@ -99,11 +97,10 @@ class WallClock:
     """Schedule that starts the ticks of a run in real time.
 
     Tick i is due i milliseconds after the start, regardless of the duration of earlier ticks.
-    Delays therefore do not accumulate. A late tick runs at once, and so do the following ticks
-    until the run is on time again. If a tick is late by more than `BEHIND_S`, all later ticks are
-    postponed by the lateness. The lateness is then counted as skipped time. The simulated time of a
-    tick never changes, and no tick is left out. The skipped time is recorded with microsecond
-    resolution.
+    Delays therefore do not accumulate. After a late tick, ticks run without waiting until the run
+    is on time again. If a tick is late by more than `BEHIND_S`, all later ticks are postponed by
+    the lateness. The lateness is then counted as skipped time. The simulated time of a tick never
+    changes, and no tick is left out. The skipped time is recorded with microsecond resolution.
 
     Attributes
     ----------
@@ -163,8 +160,7 @@ class Prioritised(RunObserver):
     """Observer that raises the priority of the thread that runs the ticks, until the run ends.
 
     The priority is restored earlier if the ticks use more than the share `FULL` of the time.
-    Otherwise the system would stop the thread. The pause would be longer than the delays at an
-    ordinary priority.
+    Otherwise the system would stop the thread, for longer than the delays at an ordinary priority.
 
     Attributes
     ----------

@@ -19,7 +19,7 @@ from tissue.simulation.builders.parts import Parts, motion_of
 from tissue.simulation.simulate import builder_of
 
 ACROSS = 5
-"""Number of copies of a path along each of the two axes across the tool's axis.
+"""Number of shifted copies of a path along each of the two axes across the tool's axis.
 
 The tissue is prepared along all copies. The number was chosen by judgement.
 """
@@ -29,7 +29,7 @@ LEFT_REGION = "the tool left the region in which the tissue is prepared"
 A remedy follows these words.
 """
 WIDER = "use a larger reach_mm"
-"""Remedy for a tip that is outside the region with prepared tissue, except below it."""
+"""Remedy for a tip that has left the region with prepared tissue sideways."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +137,7 @@ class _Widened(Motion):
 def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Parts, Region]:
     """Build the objects that simulate a scene, for a tool that is moved to given poses.
 
-    The region in which the tissue is prepared is also returned.
+    The second result is the region in which the tissue is prepared.
 
     The anatomy is prepared within `reach_m` [m] around the path of the scene. Stress, heat and
     frames of the scene are not computed, because they do not change the force.

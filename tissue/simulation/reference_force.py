@@ -1,9 +1,9 @@
-"""Force that a haptic device would receive without latency and filter, and with a fine model.
+"""Force that a haptic device would receive from a fine model without latency and filters.
 
 This reference force is compared with the force of a run. The two forces are compared at the motor
 of the device, after transport, zero-order hold and amplifier. Each error is reported with a lower
-bound. The lower bound is the error of a perfect prediction that is computed from the quantised
-encoder positions and passes the low-pass and the amplifier.
+bound. The lower bound is the error of a perfect prediction from the quantised encoder positions,
+after the low-pass and the amplifier.
 """
 
 from collections.abc import Mapping
@@ -55,7 +55,7 @@ PROMPT: dict[str, object] = {
 
 
 def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Scene:
-    """Return a copy of a scene without latency and filter, and with the finest model.
+    """Return a copy of a scene with the finest model, without latency and filters.
 
     Parameters
     ----------
@@ -86,11 +86,11 @@ def ideal_force_N(
 ) -> Array:
     """Compute the force of a loop without latency for the device motion of a run.
 
-    The result is the force in each tick [N], shape (n, 3). This ideal loop also has no filters and
-    the finest model; see `ideal_scene`. The device moves as in the run. The difference of the
-    forces therefore does not include the reaction of a hand to the ideal force. A simulated device
-    provides its true motion; for other devices, the motion that the encoders read is used. The
-    ideal loop simulates the tissue again, so more or less tissue may be removed than in the run.
+    The result is the force in each tick [N], shape (n, 3). This ideal loop has the finest model and
+    no filters; see `ideal_scene`. The device moves as in the run, so the force does not include the
+    reaction of a hand to the ideal force. A simulated device provides its true motion; for other
+    devices, the motion that the encoders read is used. The ideal loop simulates the tissue again,
+    so more or less tissue may be removed than in the run.
 
     Raises
     ------
@@ -117,8 +117,8 @@ def rendered_force_N(parts: Parts, ticks: int) -> Array:
 
     The result is the force before prediction, filter and delay. It is bit for bit equal to the
     trace columns ``raw_force`` of a run of `parts`. The computation takes about half of the time of
-    a run, because it skips all later stages of the force. It can skip them because the motion of
-    the device does not depend on the force.
+    a run, because all later stages of the force are skipped. The motion of the device must
+    therefore not depend on the force.
 
     Parameters
     ----------
@@ -149,8 +149,8 @@ def rendered_force_N(parts: Parts, ticks: int) -> Array:
 def stretch_force_N(run: Run) -> Array:
     """Compute the force of the coupling spring in each tick of a run [N], shape (n, 3).
 
-    The result is the force that the run would have without latency, for its encoder positions and
-    its model. For a cutting tool, the estimate of the position observer replaces the encoder
+    The result is the force that the run would have without latency, with its own encoder positions
+    and model. For a cutting tool, the estimate of the position observer replaces the encoder
     position; see `WallLoop.observes`. If the tissue model responds in every tick, a predictor
     receives this force.
 
@@ -201,8 +201,8 @@ class MotorForces(NamedTuple):
         Force without latency at the true device position.
     nearest
         Force at the motor for a perfect prediction of the result of `stretch_force_N`. The error of
-        this force is the lower bound for forces that are computed from the encoder positions. A
-        force of a run may still have a smaller error if it smooths the encoder steps more.
+        this force is the lower bound for forces that are computed from the encoder positions. The
+        force of a run may still have a smaller error if the run smooths the encoder steps more.
     sent
         Force that the device received, after compression to the device's range and scaling for a
         person.

@@ -74,7 +74,7 @@ class Run:
         Data on kernel launches, background work and scheduling gaps (times in which the system did
         not run the thread); None if these data were not recorded.
     draw
-        Function that draws the pictures of the run into a folder in a given format. It returns a
+        Function that draws the pictures of the run into a folder in a given format, and returns a
         sentence for each picture that could not be drawn. `tissue.simulate` sets this attribute.
     findings
         Entries of the summary on the findings of the run, see `tissue.simulation.findings`.

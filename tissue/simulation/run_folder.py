@@ -149,8 +149,8 @@ class RunFolder:
 
     An error is raised for a folder that holds another run, unless `overwrite` is set. The marker
     file of a folder lists the files that a run wrote. Only these files are replaced or removed. An
-    error is also raised if a file of the run would have the name of an unlisted file. `begin` is
-    the first method that changes the folder.
+    error is also raised if the run would overwrite another file. `begin` is the first method that
+    changes the folder.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ class RunFolder:
     def ending(self) -> Iterator[None]:
         """Enter a ``with`` block; if an error ends it, write the cause to the summary.
 
-        The folder is then also released.
+        After an error, the folder is also released.
         """
         try:
             yield
@@ -351,7 +351,7 @@ def _remark(scene: Scene, placement: Placement | None) -> str:
     """Return TOML comments with the pose of the scene in the frame of the anatomy's file.
 
     If the anatomy has keys for its site, a user can copy three of the comments into the scene to
-    fix the site.
+    keep this site.
     """
     if placement is None:
         return ""

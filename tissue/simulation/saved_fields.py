@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     import pyvista
 
 PEAK = 99.8
-"""Percentile of the cell values of a field at the upper end of its colour scale.
+"""Percentile of a field's cell values that is the upper end of its colour scale.
 
 Only single cells at the tool have larger values.
 """
 SPAN = 1e-3
 """Smallest ratio of lower to upper end of a logarithmic colour scale (three decades)."""
 FAINT = 5.0
-"""Percentile of the stress at the lower end of a logarithmic colour scale.
+"""Percentile of the stress that is the lower end of a logarithmic colour scale.
 
 The percentile is computed in the frame with the largest stress. The value was chosen by judgement.
 """
@@ -239,9 +239,9 @@ class SavedFields:
 def field_limits(name: str, values: Sequence[Singles]) -> tuple[float, float]:
     """Return the two ends of a field's colour scale, computed from arrays of its values.
 
-    The scale is symmetric about 0 if there are positive and negative values. For von Mises stress
-    the scale is logarithmic and begins above 0. The reason is that the stress decreases by several
-    powers of ten with the distance from the tool.
+    The scale is symmetric about 0 if there are negative values. For von Mises stress the scale is
+    logarithmic and begins above 0, because the stress decreases by several powers of ten with the
+    distance from the tool.
     """
     values = [one[np.isfinite(one)] for one in values]
     values = [one for one in values if one.size]

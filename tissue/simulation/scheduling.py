@@ -13,12 +13,10 @@ from tissue.models.tissue_model import SchedulesBackground, TissueModel
 
 SPUN_S = 0.3
 SPUN_SHARE = 0.1
-"""Largest time for which the clock is polled, divided by the simulated time.
+"""Largest duration of a measurement of scheduling gaps, divided by the simulated time.
 
 The clock is polled before the ticks, and again after the ticks. Each of these measurements takes at
-most `SPUN_S`.
-
-The ratio limits the additional time of a short run. Both values were chosen by judgement.
+most `SPUN_S`, and less in a short run. Both values were chosen by judgement.
 """
 LEAST_GAP_S = 2e-4
 """Shortest interval between two clock readings that counts as a scheduling gap [s].

@@ -128,15 +128,15 @@ def simulate(
         Whether to run a device even if the check predicts that its coupling is unstable.
     device
         Device object that replaces the simulated device and hand of the scene. The stability check
-        uses the limits of the device named in the scene. If the object is a context manager, the
-        run enters and exits it, so pass the object without ``with``. To use a device for several
-        runs, pass ``held`` from ``with SafeDevice(device) as held``. The ticks run in a second
-        thread. The last command to the device is zero, even if an error ends the ticks; see
+        uses the limits of the device named in the scene. If the object is a context manager, pass
+        it without ``with``: the run enters and exits it. To use a device for several runs, pass
+        ``held`` from ``with SafeDevice(device) as held``. The ticks run in a second thread. The
+        last command to the device is zero, even if an error ends the ticks; see
         `tissue.haptics.device.safe_device.SafeDevice`.
     observers
         Observers that are called in every tick, in this order. Their method `on_begin` is called in
-        reverse order. The reason is that the first observer of a live run must take over Ctrl-C
-        after all other observers have begun.
+        reverse order, because the first observer of a live run must take over Ctrl-C after all
+        other observers have begun.
 
     Raises
     ------
@@ -327,7 +327,7 @@ def _prediction_note(trace: Table, motion: HandMotion, scene: Scene) -> dict[str
 
 
 def _training_note(scene: Scene) -> dict[str, str]:
-    """Return a note if a built-in predictor was trained on another task than that of the scene.
+    """Return a note if a built-in predictor was trained on a task that differs from the scene.
 
     The name of a scene chooses the built-in predictor.
     """

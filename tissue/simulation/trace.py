@@ -41,7 +41,7 @@ See `tissue.simulation.recording`.
 WRITERS = {"parquet": ("pyarrow", "parquet"), "h5": ("h5py", "h5"), RECORDING: ("h5py", "h5")}
 """Package that writes a format, and the extra of tissue that installs the package.
 
-The dict is keyed by the name of the format.
+The keys are the names of the formats.
 """
 
 

@@ -59,7 +59,7 @@ def child_command(module: str, *arguments: str) -> list[str]:
 
 
 def process_module(name: str) -> str:
-    """Return the module that a process of a live run executes; a name is, for example, ``window``.
+    """Return the module that a process of a live run executes, by its name such as ``window``.
 
     The modules are entry points of the group ``tissue.processes``.
 
@@ -201,7 +201,7 @@ def await_ready(
 
 
 def _work_of(processes: Iterable[int]) -> tuple[float, bool]:
-    """Return the processor time [s] of processes and their children, and True if one is stopped."""
+    """Return processor time [s] of processes and their children, and whether any is stopped."""
     import psutil
 
     work_s = 0.0
@@ -223,7 +223,7 @@ NICE = 5
 
 If a process with niceness 5 and a process with niceness 0 need the same core, the first gets a
 third of the time of the second. Their weights are 335 and 1024 in the table
-``sched_prio_to_weight`` of Linux. The value is not measured but chosen.
+``sched_prio_to_weight`` of Linux. The value is a design choice.
 """
 
 
@@ -257,7 +257,7 @@ def _main() -> None:
 ENDS_S = 10.0
 """Longest time that a helper process may take to end after its input was closed [s].
 
-After this time, the process is killed. It usually ends within milliseconds.
+After this time, the process is killed. A process usually ends within milliseconds.
 """
 Job = Callable[[], None]
 
@@ -375,7 +375,7 @@ class Helper:
         return answer
 
     def _lost(self, why: str = "") -> HelperLostError:
-        """Return the error for a helper that is lost; without a reason, it has ended."""
+        """Return the error for a lost helper; if no reason is given, the helper has ended."""
         return HelperLostError(
             f"the process that {self._does} {why or _how_ended(self._process.returncode)}"
         )

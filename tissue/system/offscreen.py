@@ -219,7 +219,7 @@ def _answers(library: ctypes.CDLL, name: str) -> bool:
 
 
 def drawing_environments() -> Iterator[dict[str, str]]:
-    """Yield sets of environment variables to try for a drawing process, in this order.
+    """Yield the sets of environment variables to try, one after another, for a drawing process.
 
     The variables select the class of VTK's render window.
     """

@@ -46,7 +46,7 @@ LONGEST_LOCK = 32
 NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 """Flag of ``os.open`` that refuses symbolic links."""
 SAME_S = 5.0
-"""Tolerance of the start time with which a process is recognised [s].
+"""Tolerance for the start time of a process when its id and start time are checked [s].
 
 The tolerance allows for a change of the system clock. Process ids are assigned in order, so another
 process rarely gets the same id within this time.
@@ -66,8 +66,8 @@ class OwnedFolder:
     """Output folder that a command locks and fills with files.
 
     Each file is listed in the marker file before it is written. Only listed files are replaced or
-    removed. While the folder is locked, `whole_file` calls `claim` for each file that it writes,
-    which raises an error for a file of the user.
+    removed. While the folder is locked, `whole_file` calls `claim` before it writes a file. `claim`
+    raises an error for a file of the user.
 
     Parameters
     ----------
@@ -294,7 +294,7 @@ def _present(path: Path, names: Iterable[str]) -> set[str]:
 
 
 def _has_foreign_parent(path: Path, name: str) -> bool:
-    """Return True if a folder in a relative file name exists but is a file or a symbolic link."""
+    """Return True if a folder of a relative file name is in fact a file or a symbolic link."""
     parents = [path / each for each in PurePosixPath(name).parents if each.name]
     return any(
         os.path.lexists(each) and (each.is_symlink() or not each.is_dir()) for each in parents
@@ -353,7 +353,7 @@ class OutputLock:
 
 
 def _taken(path: Path, out: Path) -> TextIO:
-    """Lock the lock file, write the id of this process into it, and return it."""
+    """Lock the lock file, write the id of this process into the file, and return the file."""
     while True:
         file = _opened(path)
         if not _lock(file):

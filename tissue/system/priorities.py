@@ -65,7 +65,11 @@ class TickPriority:
             self._begin_linux()
 
     def end(self) -> None:
-        """Restore the priority; callable from any thread, even after the raised one has ended."""
+        """Restore the priority.
+
+        Any thread may call this method, even after the thread with the raised priority has
+        ended.
+        """
         restore = self._restore
         self._restore = None
         if restore is None:

@@ -23,7 +23,7 @@ TRUSTED = 0.03
 Earlier estimates would be wrong, because the first steps include the loading of code.
 """
 SHORT_S = 10.0
-"""Remaining time below which it is not shown [s]."""
+"""Smallest remaining time that is shown [s]."""
 QUIET_S = 30.0
 """Time between two printed lines if the output is not a terminal [s]; this keeps logs short."""
 
@@ -37,7 +37,7 @@ def in_notebook() -> bool:
 
 @contextmanager
 def reporting(wanted: Bar) -> Iterator[Progress]:
-    """Yield a function to report progress to: the given one, one that updates a bar, or a no-op."""
+    """Yield a function that reports progress: the given function, one for a bar, or a no-op."""
     if callable(wanted):
         yield wanted
     elif in_notebook() and wanted is not False:

@@ -37,10 +37,10 @@ from tissue.scene.load import scene_names
             ("run", "x.toml"),
             "scene must be an existing file, got x.toml. Check the path, or see the built-in scenes by `tissue scenes`",
         ),
-        (("run",), "scene must be given, got nothing. See `tissue run --help`"),
+        (("run",), "the argument SCENE is missing. See `tissue run --help`"),
         (
             ("run", "milling", "glenoid"),
-            "tissue run must be given nothing more, got glenoid. See `tissue run --help`",
+            "tissue run takes no further argument, got glenoid. See `tissue run --help`",
         ),
         (
             ("ruin", "milling"),
@@ -63,7 +63,7 @@ from tissue.scene.load import scene_names
         ),
         (
             ("run", "milling", "--duration-s"),
-            "--duration-s must be given, got nothing. See `tissue run --help`",
+            "--duration-s is missing or has no value. See `tissue run --help`",
         ),
         (
             ("run", "milling", "--duration-s", "long"),

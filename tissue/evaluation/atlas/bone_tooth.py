@@ -49,9 +49,9 @@ MASS_KG = 0.05
 
 @cache
 def drag_N_s_m() -> float:
-    """Compute a burr's damping [N s/m], force per feed speed, 1 mm deep in cortical bone.
+    """Compute the force per feed speed [N s/m] of a burr that is 1 mm deep in cortical bone.
 
-    The burr moves along its axis.
+    The burr moves along its axis. The ratio acts as damping.
     """
     # a block that is wider than the burr and 1 mm deeper than the plunge, in the voxels of a scene
     volume = voxelise(cortical_block(size_mm=(7, 7, 2)), spacing_m=1e-4)
@@ -226,8 +226,8 @@ def compliance_m_N(body: ParticleBody, fill: float) -> float:
 def at_fill(fill: float) -> dict[str, float]:
     """Compute condition numbers with and without stabilisation, and the change of compliance.
 
-    The inner stiffness of a cell stabilises cut cells. ``fill`` is the filled fraction of each cut
-    cell, 0 to 1.
+    Cut cells are stabilised by an additional stiffness, a fraction of a full cell's inner
+    stiffness. ``fill`` is the filled fraction of each cut cell, 0 to 1.
     """
     stabilised = cut_block(fill, INNER_STRENGTH)
     condition, scaled = conditions(stabilised)
@@ -264,7 +264,7 @@ class CutCells(Page):
         return {"fill": sweep("fill", np.geomspace(1.0, 2e-4, 13), at_fill)}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the condition numbers with and without stabilisation; report lost compliance."""
+        """Compare the condition numbers with and without stabilisation; report the cost."""
         table = data["fill"]
         carried = table["carried"] > 0.0
         worst = table["scaled"].max()

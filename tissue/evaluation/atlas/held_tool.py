@@ -47,11 +47,11 @@ SECONDS = {"milling": 1.4, "glenoid": 2.4, "pedicle": 1.1, "molar": 1.7, "caries
 """Duration of the run of each cutting scene [s]. The run includes one second of contact."""
 SHIFTS_M = np.array([1e-9, 1e-6, 1e-5])
 MOST = 10.0
-"""Ratio of tool-path shift to device-path shift above which a tool counts as ill-conditioned.
+"""Amplification (tool-path shift over device-path shift) above which a tool is ill-conditioned.
 
-The value is a choice. At commit c4a1af96, the ratio is at most 2.6 with the tool mass of the
-engine. With an almost massless tool and a shift of 1 nm, the ratio is 23 in the scene ``molar`` and
-at most 3.7 in the other scenes.
+The value is a choice. At commit c4a1af96, the amplification is at most 2.6 with the tool mass of
+the engine. With an almost massless tool and a shift of 1 nm, it is 23 in the scene ``molar`` and at
+most 3.7 in the other scenes.
 """
 STYLES = (("o-", "#0072B2"), ("s-", ORANGE), ("^-", GREEN), ("D-", "#56B4E9"), ("v-", "#CC79A7"))
 RULES = {"engine": "tool of the engine", "massless": "massless quasi-static limit"}
@@ -168,7 +168,7 @@ def replayed(scene: Scene, path: DevicePath, *, mass_share: float = 1.0) -> Cour
 
 
 def amplification(course: Course, reference: Course, shift_m: float) -> tuple[float, float]:
-    """Return the ratio of the distance between two tool paths to their device paths' shift.
+    """Return the amplification: distance of two tool paths over the shift of their device paths.
 
     Two values are returned: the ratio one second after the first contact (or at the end of a
     shorter run), and the largest ratio of the run. ``shift_m`` is the shift between the device
@@ -223,7 +223,7 @@ class HeldTool(Page):
         return data
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the largest ratio of the shifts with its limit, for both tool masses."""
+        """Compare the largest amplification with the limit `MOST`, for both tool masses."""
         worst = {rule: max(data, key=lambda name: data[name][rule].max()) for rule in RULES}
         grown = {rule: data[name][rule].max() for rule, name in worst.items()}
         error = {
@@ -241,7 +241,7 @@ class HeldTool(Page):
         )
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the ratio of the shifts against the shift of the device path, for both masses."""
+        """Draw the amplification against the shift of the device path, for both tool masses."""
         holds = self.judge(data).holds
         panels = chart.subplots(1, 2, sharey=True)
         for axes, (rule, title) in zip(panels, RULES.items(), strict=True):

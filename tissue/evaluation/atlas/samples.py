@@ -35,7 +35,7 @@ STIFFNESS_N_M = 1500.0
 With this stiffness, the haptic loop is stable, and the simulated expert presses with 1.2 N.
 """
 FAULT_S = 0.15
-"""Time at which the faults start [s]. The hand then rests in contact with the wall."""
+"""Time at which the faults start [s]. At this time, the hand rests in contact with the wall."""
 FIRST = round(FAULT_S / TICK_S)
 STYLES: dict[FaultKind, tuple[str, str]] = {
     "dropped": ENGINE,
@@ -65,7 +65,7 @@ def pressed(fault: Fault, *, seconds: float, guarded: bool) -> tuple[Array, Samp
 
 
 def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
-    """Measure three forces around a fault of the samples, relative to the force before it.
+    """Measure three forces around a fault of the samples, relative to the force before the fault.
 
     The fault lasts `gap_s`. The three values are the force in its last tick, the largest force
     after the fault, and the largest change from tick to tick during the fault.
@@ -79,8 +79,7 @@ def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
 
 
 def over_gap(kind: FaultKind, gaps: Array) -> Table:
-    """Compute the results of `shares` for gaps of several lengths in the data, with and without
-    guard."""
+    """Compute `shares` with and without guard for each fault duration [s] in `gaps`."""
     guarded = np.array([shares(kind, gap, guarded=True) for gap in gaps.tolist()])
     bare = np.array([shares(kind, gap, guarded=False) for gap in gaps.tolist()])
     # A repeated sample is accepted until it is too old. A late sample is too old immediately. From

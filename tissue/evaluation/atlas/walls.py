@@ -147,7 +147,7 @@ ENCODER_M = 1e-4
 DEVICE = DeviceParameters(mass_kg=0.05, damping_N_s_m=1.0, encoder_step_m=ENCODER_M)
 """Device with coarse encoders.
 
-Its damping b allows a wall stiffness of 2 b / T = 2 kN/m without Coulomb friction, where T is the
+Without Coulomb friction, its damping b keeps walls of up to 2 b / T = 2 kN/m stable, where T is the
 duration of a tick.
 """
 BUZZ_STEPS = 0.1
@@ -160,8 +160,8 @@ With two forces, the device is tested at two different positions between encoder
 FRICTIONS_N = np.array([0.003, 0.008, 0.02, 0.04, 0.08])
 """Coulomb frictions f [N].
 
-The bounds 2 f / Δ on the stiffness of a wall without buzzing are 60 to 1600 N/m, where Δ is the
-encoder step. All bounds lie below the critical stiffness 2 b / T.
+Up to the wall stiffness 2 f / Δ (Δ: encoder step), the device does not buzz. These bounds are 60 to
+1600 N/m, below the critical stiffness 2 b / T.
 """
 LADDER_N_M = np.geomspace(40.0, 1950.0, 9)
 """Tested wall stiffnesses [N/m].
@@ -171,7 +171,7 @@ They range from below the lowest bound 2 f / Δ to just below the critical stiff
 
 
 class Push:
-    """Hand that pushes with a constant force, and with additional 2 N in the first tick."""
+    """Hand that pushes with a constant force, and with 2 N more in the first tick."""
 
     def __init__(self, steady_N: float) -> None:
         self._steady = steady_N
@@ -302,9 +302,8 @@ MASS_KG = 0.05
 SHORT_TICK_S = 2.5e-4
 """Duration of a tick in the simulations of thin walls [s].
 
-A contact lasts 22 ms.
-
-With such short ticks, the zero-order hold of the force adds little energy to the device.
+A contact lasts 22 ms, which is 88 ticks. The zero-order hold of the force therefore adds little
+energy to the device.
 """
 
 

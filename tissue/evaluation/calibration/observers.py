@@ -6,9 +6,9 @@ perceptual noise of the person is not scaled, because it is added after the mapp
 therefore changes discrimination only relative to the perceptual noise. An exponent or a gain above
 1 improves discrimination: the differences between forces increase, or the forces exceed the
 low-force term of the threshold. An exponent or a gain below 1 impairs discrimination. Calibration
-gives every person the exponent of the reference observer. The discrimination of people with a lower
-exponent improves, and that of people with a higher exponent becomes worse. The mean over a
-population may increase or decrease.
+gives every person the exponent of the reference observer. Discrimination improves for people with a
+lower exponent, and becomes worse for people with a higher exponent. The mean over a population may
+increase or decrease.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,9 +45,9 @@ Command = Callable[[Array], Array]
 class SimulatedObservers:
     """Simulated observers with known parameters, as arrays of shape (n,).
 
-    The threshold of discrimination at the force F is kappa (F + offset). Two forces that differ by
-    the threshold are felt at a distance of 0.954. To each of them, noise of unit variance is added.
-    75 % of the answers at the threshold are therefore right. A person rates a force F with the
+    The threshold of discrimination at the force F is kappa (F + offset). If two forces differ by
+    the threshold, the felt intensities differ by 0.954. Each felt intensity has noise of unit
+    variance, so 75 % of the answers at the threshold are right. A person rates a force F with the
     number alpha (F / 1 N)^beta, with noise in the logarithm of the number.
 
     Attributes

@@ -210,7 +210,7 @@ class Session:
     def lines(self) -> list[str]:
         """Return the present estimates as sentences.
 
-        The numbers in the sentences equal those that are written to the observer's file.
+        The numbers equal the numbers in the observer's file.
         """
         # the ends of the 95 % interval
         low, high = self.threshold.weber_quantiles(np.array([0.025, 0.975]))[:, 0]

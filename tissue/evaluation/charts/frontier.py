@@ -32,9 +32,9 @@ from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 
 OFFERED_US = 800.0
-"""Largest 99th percentile of the computing time of a tick [us] for a further refinement.
+"""Limit of the computing time of a tick [us], as 99th percentile, in the search for finer settings.
 
-If a finer setting takes longer, settings that are finer still are not measured. The haptic loop
+If a finer setting exceeds the limit, no setting that is finer still is measured. The haptic loop
 needs the rest of the tick of 1 ms.
 """
 
@@ -149,10 +149,10 @@ A setting satisfies a demanded force error if its measured error times this fact
 the demanded error.
 
 The factor covers larger errors at places that were not measured. It was chosen with seeds 1-10 of
-an earlier force law, and tested with five other motions on each of four scenes and on each of four
+an earlier force law. It was tested with five other motions on each of four scenes and of four
 imaged teeth and scapulae (tests/bench/held_out.py). With a factor of 1.5, no error exceeds the
-demanded error. With 1.25, the error exceeds the demand on one tooth. With 1 and a demanded error of
-1 %, the error exceeds the demand for three of five motions on another tooth.
+demanded error. With 1.25, the error is too large on one tooth. With 1 and a demanded error of 1 %,
+the error is too large for three of five motions on another tooth.
 """
 
 

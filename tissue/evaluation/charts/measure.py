@@ -197,9 +197,9 @@ def short_of(scene: Scene, quick: bool) -> Scene:
 def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
     """Return the scene up to `EXCERPT_S` after the first contact, with less bone around the path.
 
-    The path does not depend on whether a hand or a script moves the tool. With a hand, the run
-    lasts `LATE_S` longer. ``coarse`` holds the changes of the scene for the coarse setting with
-    which the time of the first contact is computed.
+    The path is the same for a hand and for a script. With a hand, the run lasts `LATE_S` longer.
+    ``coarse`` contains the changes of the scene for a coarse setting. The time of the first contact
+    is computed with this setting.
     """
     if isinstance(scene.tool, Tool):
         # a hand deviates from its path, so it needs more margin of the scene

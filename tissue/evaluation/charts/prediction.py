@@ -34,7 +34,7 @@ The test runs use the two factors in turn.
 """
 OURS = "koopman-look-ahead"
 DELAY_MS = 4
-"""Latency of the haptic loop in the test runs [ms], near the mean of 4.3 ms in the paper."""
+"""Latency of the haptic loop in the test runs [ms]; the published study has a mean of 4.3 ms."""
 
 
 TABLES = ("errors.csv", "cost.csv")
@@ -173,8 +173,8 @@ def chart_prediction(
     Raises
     ------
     InputError
-        If `folder` is a file or already contains a chart and `overwrite` is false, `trials` is
-        below 2, or a scene cannot be run.
+        If `trials` is below 2, a scene cannot be run, `folder` is a file, or `folder` contains a
+        chart and `overwrite` is false.
     """
     # one run has no interval
     if not 2 <= trials <= MOST_TRIALS:

@@ -29,10 +29,10 @@ def chart_scenes(
     overwrite: bool = False,
     report: Progress = silent,
 ) -> list[list[Frontier]]:
-    """Measure scenes at all numerical settings and draw the results; no names: all scenes.
+    """Measure scenes at all numerical settings and draw the results.
 
-    For each scene, ``NAME.png`` and ``NAME.csv`` are written. The picture ``frontier.png`` shows
-    all scenes.
+    If `names` is empty, all built-in scenes are measured. For each scene, ``NAME.png`` and
+    ``NAME.csv`` are written. The picture ``frontier.png`` shows all measured scenes.
 
     Measurements are stored on disk, so an interrupted call can be continued.
 

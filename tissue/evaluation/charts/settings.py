@@ -30,7 +30,7 @@ from tissue.simulation.builders.cutting import cutter_of
 LATENCY_MS = 4
 """Latency of the haptic loop [ms] if the scene does not set a latency.
 
-The mean in the paper is 4.3 ms.
+The published study has a mean of 4.3 ms.
 """
 VOXEL_SHARES = {True: (1.0, 0.5**0.5, 0.5), False: (1.0, 3.0**-0.5, 1.0 / 3.0)}
 """Voxel edges of three grids, relative to the scene, for a grid-convergence index.
@@ -40,16 +40,16 @@ The key is True for a quick chart and False for a full chart.
 TET_SHARES = {True: (1.0, 0.8, 0.64), False: (1.0, 0.5**0.5, 0.5)}
 """Edges of tetrahedra in three meshes, relative to the scene; see `VOXEL_SHARES`.
 
-Half the edge gives seven times as many unknowns, 140,000 for a liver. Meshes with more similar
-edges do not show the order of convergence, because the force varies irregularly from mesh to mesh.
+With half the edge, a mesh has seven times as many unknowns: 140,000 for a liver. Meshes with more
+similar edges do not show the order of convergence, because the force varies irregularly.
 """
 PLACES = ((0.0, 0.0, 1.0), (-0.37, -0.61, 1.07), (0.61, 0.37, 0.93))
 """Shift of the tool path along x and y, and factor on its depth, for three positions.
 
 The unit of the shifts is the edge of the coarsest voxel or of a tetrahedron. The error of a
 discretisation depends on the position of the tool relative to the grid or mesh. For example, a path
-along the faces of voxels has a smaller error than a path between them. No shift is a half, a third
-or a quarter, so the position relative to a finer grid changes too.
+along the faces of voxels has a smaller error than a path between the faces. No shift is a half, a
+third or a quarter of an edge, so the position relative to a finer grid changes too.
 """
 COARSEST = 4.0
 """Edge of the coarsest voxel of a quick chart, divided by the edge in the scene; see `_voxels`."""

@@ -185,7 +185,7 @@ def _over_ticks(evaluate: Callable[[int], Array], path: ToolPath) -> Array:
 
     The path is divided into parts where the velocity jumps. A part is halved until the value at its
     middle agrees with linear interpolation between its ends. If contact begins or ends in a part,
-    it is halved down to single ticks.
+    the part is halved down to single ticks.
     """
     wrench = np.zeros((len(path.tips_m), 6))
     waiting: list[tuple[int, int]] = []
@@ -245,7 +245,7 @@ def means_over_50_ms(values: Array) -> Array:
 
 
 FORMAL_ORDER = 2.0
-"""Formal order of convergence of the force: upper limit of the order in a convergence index."""
+"""Formal order of convergence of the force; a convergence index uses no larger order."""
 ASYMPTOTIC = 0.5, 2.2
 """Range of observed orders of convergence that counts as asymptotic.
 
@@ -260,7 +260,7 @@ SAFETY_OUTSIDE = 3.0
 `SAFETY` is the factor within the asymptotic range.
 """
 STEEPEST = 30.0
-"""Largest absolute value of an observed order of convergence; larger orders are infinite.
+"""Largest absolute value of an observed order of convergence; larger orders count as infinite.
 
 For spacings in the ratio 1.2, an order of 30 means: the forces on the coarse and middle grids
 differ 240 times as much as the forces on the middle and fine grids.

@@ -66,10 +66,10 @@ class ConvexPart:
         return np.where(outside, least, -least)
 
     def least_on_path(self, start: Array, end: Array, *, within: Array) -> Array:
-        """Return the smallest signed distance of points that move straight from start to end [m].
+        """Return the smallest signed distance [m] between the body and each moving point.
 
-        ``start`` and ``end`` have shape (n, 3) [m]. A result that is larger than ``within``, shape
-        (n,) [m], is only a lower bound of the distance.
+        The points move straight from ``start`` to ``end``, shape (n, 3) [m]. A result that is
+        larger than ``within``, shape (n,) [m], is only a lower bound of the distance.
         """
         height, radius = self.bounding_ball
         bound = _to_segment(np.array([0.0, 0.0, height]), start, end) - radius
@@ -206,10 +206,10 @@ class ToolPath:
         """Return the signed distance [m] from the volume that the tool has swept before a tick.
 
         The distance is negative inside this volume, and infinite if nothing was swept. The points,
-        shape (n, 3), are in the world frame. In the leg to which the tick belongs, the first entry
-        of `parts` is ignored: no surface point of a convex body that advances on a straight path
-        was inside the body earlier in this leg. A result that is larger than ``within``, shape (n,)
-        [m], is only a lower bound of the distance.
+        shape (n, 3), are in the world frame. In the leg of the tick, the first entry of `parts` is
+        ignored. On a straight path, the advancing surface points of a convex body were not inside
+        the body before. A result that is larger than ``within``, shape (n,) [m], is only a lower
+        bound of the distance.
         """
         distance = np.full(len(points), np.inf)
         for start, end in self.legs[self.legs[:, 0] < tick]:

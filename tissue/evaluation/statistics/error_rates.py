@@ -80,9 +80,10 @@ def redrawn_power(
     The estimate was tested in 25 simulated studies with normal data and a true rate of false alarms
     of 5 %. For sign flips, the mean estimate is 5.1 to 5.4 %, depending on the question (3.7 to 6.4
     % in single studies). Without the noise, the mean estimate is 5.6 to 7.8 % (up to 10.8 % in
-    single studies). The estimate for the F test is too high, because the covariance of ten users is
-    never exactly spherical: 5.5 % for groups, 5.9 % for methods and 7.1 % for their interaction on
-    average (up to 8.4 %). ``python tests/bench/bench_null.py --only redrawn`` measures these rates.
+    single studies). For the F test, the mean estimate is too high, because the covariance of ten
+    users is never exactly spherical. It is 5.5 % for groups, 5.9 % for methods and 7.1 % for their
+    interaction (up to 8.4 % in single studies). ``python tests/bench/bench_null.py --only redrawn``
+    measures these rates.
 
     The returned power is the power for an effect of the measured size. The power is too high if the
     true effect is zero or small, because the measured size contains a random error.
@@ -191,7 +192,7 @@ def rejection_rates(
 def _rejections(
     values: Array, groups: Ints, question: str, rng: np.random.Generator
 ) -> dict[str, Flags]:
-    """For each test, keyed by name, return a flag for each population in which it rejects.
+    """Return the flags of the populations in which a test rejects, keyed by the name of the test.
 
     The values have the shape (populations, metrics, users, methods). A multivariate test is left
     out if there are too few users for it, or a metric is a linear combination of others.

@@ -23,8 +23,8 @@ LEVEL = 0.95
 TAILS = (0.5 * (1.0 + LEVEL), 0.5 * (1.0 - LEVEL))
 """Probabilities that define the lower and the upper end of an interval.
 
-The lower end is the true value for which a result below the measured result has the first
-probability. The upper end is the true value for the second probability.
+If the true value is the lower end, a result below the measured result has the first probability. If
+the true value is the upper end, such a result has the second probability.
 """
 MOST = 5000
 """Largest sample for which the p value of Shapiro and Wilk's test is known (Royston 1995)."""
@@ -191,7 +191,7 @@ def partial_eta_squared(statistic: float, above: float, below: float) -> Effect:
     variation and the variation of the error.
 
     Each end of the interval is L / (L + above + below + 1), where L is the noncentrality parameter
-    of F at this end (Steiger 2004). The interval is for the population, where the share is smaller
+    of F at this end (Steiger 2004). The interval is for the population, where this ratio is smaller
     on average than in a sample. The value can therefore lie above its interval.
 
     Parameters

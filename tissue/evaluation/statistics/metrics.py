@@ -141,10 +141,10 @@ def latency_ms(
 def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> float:
     """Return the mean norm of the change of acceleration from tick to tick [m/s^2].
 
-    A lower value means a smoother motion. The measure is the "smoothness index" of the paper,
-    computed by the printed formula: mean |dv[i+1]/dt - dv[i]/dt|. The value is the mean jerk
+    A lower value means a smoother motion. The measure is the "smoothness index" of the published
+    study, computed by the printed formula: mean |dv[i+1]/dt - dv[i]/dt|. The value is the mean jerk
     multiplied by the duration of a tick, so only trials with the same tick can be compared. The
-    paper presents higher values as better, although a rougher motion gives a higher value.
+    study presents higher values as better, although a rougher motion gives a higher value.
 
     Parameters
     ----------
@@ -308,7 +308,7 @@ def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
     """Return the distance [mm] of each point of a path from the model path, shape (n,).
 
     Only the part of the model path near the aligned row is searched. For points that are aligned
-    with the largest row, the whole rest of the model path is searched too.
+    with the last aligned row, the rest of the model path after this row is searched too.
 
     Parameters
     ----------
@@ -334,9 +334,9 @@ def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
 def followed_ticks(model: Array, rows: Ints) -> Flags:
     """Return True for each point of a path with a corresponding place on the model path.
 
-    The alignment may end before the last point of the model path. If the model path then moves
-    farther than the tremor of a hand, later points of the path have no corresponding place. See
-    :func:`deviation_mm` for the parameters.
+    The alignment may end before the last row of the model path. If the model path then moves
+    farther than `TREMOR_MM`, points of the path after the first point aligned with this end have no
+    corresponding place. See :func:`deviation_mm` for the parameters.
     """
     end = rows[-1]
     goes_on = np.linalg.norm(model[end:] - model[end], axis=1).max() > TREMOR_MM

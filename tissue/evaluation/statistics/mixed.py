@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from statsmodels.regression.mixed_linear_model import MixedLMResults
 
 ITERATIONS = 400
-"""Largest number of iterations of a mixed-model fit; then it counts as not converged.
+"""Number of iterations after which a mixed-model fit counts as not converged.
 
 Fits of simulated studies with 45 people converge within 25 iterations.
 """
@@ -39,8 +39,6 @@ LEAST = 1e-6
 
 def mixed_model(table: TrialTable, metric: str) -> list[HypothesisTest]:
     """Fit a mixed model of a metric by restricted likelihood; return F tests of its fixed effects.
-
-    A test has the degrees of freedom of the effect and of its error term (stratum).
 
     The model is metric = mean + group x method (x task) + user + user by method + trial + rest.
 
@@ -350,8 +348,8 @@ def _conjugate(
     All three arrays have one entry for each ratio in `ratios`: variance between users divided by
     residual variance.
 
-    The inverse covariance of the n rows of one user is I - 11' k, with k = ratio / (1 + n ratio).
-    Only sums over the rows of each user are therefore needed.
+    For the n rows of one user, the inverse covariance is I - k J, where J is a matrix of ones and
+    k = ratio / (1 + n ratio). Only sums over the rows of each user are therefore needed.
     """
     counts = np.bincount(person).astype(float)
     sums = np.stack([np.bincount(person, column) for column in (*design.T, values)], axis=1)

@@ -14,8 +14,8 @@ EFFECT = 1.0
 
 For a comparison of methods, the unit is the standard deviation, over people, of the difference
 between two methods. For a comparison of groups, the unit is the standard deviation of the people in
-a group. The value is a choice from the range 0.5 to 2. In the paper, the force errors of the
-methods penalty and Koopman differ by 2.8 to 2.9 standard deviations.
+a group. The value is a choice from the range 0.5 to 2. In the published study, the force errors of
+the methods penalty and Koopman differ by 2.8 to 2.9 standard deviations.
 """
 POWER = 0.8
 """Power for which the number of people in a study is planned (Cohen 1988, section 2.4)."""
@@ -57,8 +57,8 @@ def planned_power(
     """Return the power of each test of one metric on one task, for an effect of a given size.
 
     In the test of methods, one method differs by ``effect`` from all others, which are equal. In
-    the test of groups, one group differs; in the test of the interaction, one method in one group.
-    The unit of ``effect`` is explained at `EFFECT`. Values are normal with equal standard
+    the test of groups, one group differs. In the test of the interaction, one method differs in one
+    group. The unit of ``effect`` is explained at `EFFECT`. Values are normal with equal standard
     deviations.
 
     The power is the share of simulated studies whose largest t exceeds the critical value. The

@@ -39,7 +39,7 @@ SMALLEST = 1e-12
 EQUAL = 1e-9
 """Relative difference below which two statistics count as equal.
 
-Rounding errors of 1e-16 are larger in statistics with a small variance.
+In a statistic with a small variance, the relative rounding error is larger than 1e-16.
 """
 
 
@@ -50,8 +50,8 @@ class SignTest:
     Attributes
     ----------
     statistic, p
-        Largest absolute t over all pairs, and its p value: the fraction of sign flips with a
-        largest t that is not smaller.
+        Largest absolute t over all pairs, and its p value: the fraction of sign flips whose largest
+        t is at least as large.
     differences, errors
         Mean difference of each pair, and its standard error, each of shape (pairs,).
     pair_p

@@ -101,11 +101,11 @@ def effect_scores(
 
 
 def _squares(scores: Array, groups: Ints, *, between: bool) -> tuple[Array, Array, int, int]:
-    """Return sums of squares and products of an effect and its error, and their degrees.
+    """Return sums of squares and products of an effect and its error, and degrees of freedom.
 
-    The degrees of freedom are the last two results. Scores have shape (..., users, columns). The
-    sums have shape (..., columns, columns). If `between` is true, the effect is the difference of
-    groups. Otherwise, the effect is the mean over groups with equal weights.
+    Scores have shape (..., users, columns). The sums have shape (..., columns, columns). If
+    `between` is true, the effect is the difference of groups. Otherwise, the effect is the mean
+    over groups with equal weights.
     """
     counts = np.bincount(groups)
     means = group_means(scores, groups)
@@ -148,9 +148,9 @@ def strata(
         Indices of the factors within users that belong to the effect. At least one, unless
         `between` is true.
     between
-        If true, the effect of the group is tested if `chosen` is empty, otherwise the interaction
-        of the group with the chosen factors. If false, the effect of the chosen factors, as the
-        mean over groups with equal weights, is tested against zero.
+        If true, test the effect of the group or, if `chosen` is not empty, the interaction of the
+        group with the chosen factors. If false, test the effect of the chosen factors, as the mean
+        over groups with equal weights, against zero.
     """
     scores = effect_scores(values, sizes, chosen)
     effect, error, above, below = _squares(scores, groups, between=between)
@@ -181,8 +181,8 @@ def tukey(values: Array, groups: Ints, *, between: bool) -> tuple[Array, Array, 
     Returns
     -------
     tuple
-        Differences and standard errors, each of shape (..., pairs), and the number of compared
-        means with the degrees of freedom of the error. A difference divided by its standard error
+        Differences and standard errors, each of shape (..., pairs), then the pair (number of
+        compared means, degrees of freedom of the error). A difference divided by its standard error
         is a studentised range.
     """
     counts = np.bincount(groups)

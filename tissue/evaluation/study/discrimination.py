@@ -166,7 +166,7 @@ def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) 
 def specimens(part: TrialTable) -> FeltPair | None:
     """Return the forces at the skin on the first two specimens of a task.
 
-    Only people with trials on both specimens are used. The smaller force is that of the softer
+    Only people with trials on both specimens are used. The smaller force belongs to the softer
     specimen. The result is None if no person has trials on both specimens, or nobody has two trials
     on the same specimen.
     """

@@ -14,8 +14,8 @@ COSTS = {"T1": 10.0, "T2": 5.1, "T3": 22.0, "needle": 7.6, "reaming": 18.0, "dri
 """Processor time of a trial per method, relative to the time that `probe_s` returns.
 
 The keys are the tasks. The values were measured by ``python tests/bench/bench_study.py --costs``
-with one trial of six methods, except reaming: 1.49 times the value of drilling, the ratio of their
-processor times in docs/performance.md.
+with one trial of six methods. Only the value of reaming is 1.49 times the value of drilling, as in
+docs/performance.md.
 """
 PROBE_S = 0.5
 """Simulated time [s] of the short simulation in `probe_s`."""

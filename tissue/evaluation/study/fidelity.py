@@ -104,8 +104,8 @@ def force_section(table: TrialTable) -> Section:
 def _left_over(table: TrialTable) -> list[str]:
     """Return sentences on how much prediction and personal scaling reduce the errors.
 
-    The force error with prediction is divided by that without. The error of perceived ratios with
-    scaling for the person is divided by that without.
+    The sentences state two ratios: force error with prediction over force error without, and error
+    of perceived ratios with personal scaling over the error without.
     """
     remarks = []
     for metric, first, second, what in (

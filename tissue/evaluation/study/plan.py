@@ -26,7 +26,7 @@ USERS = 10
 The trials of a group are assigned to the people in turn.
 """
 LATENCY_MS = 4
-"""Latency of the haptic loop in every trial [ms]; the paper reports a mean of 4.3 ms."""
+"""Latency of the haptic loop in every trial [ms]; the published study has a mean of 4.3 ms."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,8 +52,8 @@ class Task:
     most
         Largest number of trials for each expertise group.
     differs
-        Description of a known difference from the corresponding task in the paper; results are then
-        not compared with the paper. Empty if there is no known difference. The paper states no
+        Description of a known difference from the corresponding task in the published study. If it
+        is not empty, results are not compared with that study. The published study states no
         geometry, tool or path.
     """
 

@@ -1,7 +1,5 @@
 """Simulation of a hand that pushes a needle with a rising force until a membrane punctures.
 
-The hand stops one reaction time after it has noticed the puncture.
-
 The needle's tip starts 0.05 mm outside an organ that lies below z = 0. A hand pushes the tip along
 -z through a device. The force of the hand rises at ``rate_N_s``
 (`tissue.haptics.hand.pushing.PushingHand`). The positions of the hand's aim a, the device s and the
@@ -26,8 +24,8 @@ The excess travel has three parts. The first part is the immediate relaxation of
 tip advances by dF / k_c relative to the device, where dF is the drop of the force P. The device
 advances by more than dF / K_0, because of its inertia. No hand can prevent this part. The second
 part is the motion of the aim until the hand stops: da/dt times the delay from puncture to stop. The
-third part is the response of the aim to the sudden advance of the device. The third part occurs in
-the time by which the delay exceeds the reaction time.
+third part is the response of the aim to the sudden advance of the device. It begins one reaction
+time after the puncture and ends when the hand stops.
 """  # noqa: E501 a table
 
 from math import inf

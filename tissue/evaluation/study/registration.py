@@ -163,8 +163,8 @@ def packages_of(plan: Plan) -> dict[str, str]:
 def _source_of(method: str) -> str:
     """Return name and source hash of the class or function that a script registered.
 
-    The hash does not contain the rest of the script, which may change, for example by the number of
-    trials. The result is empty without a source file.
+    The hash does not contain the rest of the script, such as a number of trials, which may change.
+    The result is empty without a source file.
     """
     make = getattr(PREDICTORS[method].make, "make", None)
     try:

@@ -56,7 +56,7 @@ CHOSEN_AFTER: tuple[tuple[str, tuple[str, ...]], ...] = (
 )
 """Choices of the study's design that were made after results of earlier studies were known.
 
-Each has the tasks that it concerns. No other such choices are known.
+Each choice is listed with the tasks that it concerns. No other such choices are known.
 """
 
 
@@ -75,7 +75,7 @@ class Figure:
 
 
 PRINTED = ("penalty", "koopman", "koopman-perception")
-"""Methods for which the paper has force errors."""
+"""Methods for which the published study has force errors."""
 FORCE_ERROR = {
     task: dict(zip(PRINTED, map(Figure, means, spreads), strict=True))
     for task, means, spreads in (
@@ -86,7 +86,7 @@ FORCE_ERROR = {
 }
 """Published normalised L2 errors of the force [%], by task and method.
 
-In the paper, the three methods are named raw, Koopman-adjusted and perceptual.
+In the published study, the three methods are named raw, Koopman-adjusted and perceptual.
 """
 POSITION_ERROR_MM = {"T1": Figure(0.71, 0.12), "T2": Figure(0.63, 0.10), "T3": Figure(0.85, 0.15)}
 """Published position errors [mm], by task."""
@@ -182,7 +182,7 @@ def against(ours: Array, paper: Figure | None, unit: str) -> dict[str, str]:
 
 
 def published(task: str, figure: Figure | None) -> Figure | None:
-    """Return a published value; None if the task in the paper differs from the task here."""
+    """Return a published value; None if the published task differs from the task of this study."""
     return None if TASKS[task].differs else figure
 
 

@@ -1,1 +1,1 @@
-"""Uncertainty bands of a run's loads from the ranges of its constants, and Sobol indices."""
+"""Uncertainty bands of the loads of a run, and Sobol indices of the constants of the run."""

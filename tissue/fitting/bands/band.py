@@ -69,7 +69,7 @@ The difference is relative to the peak load. It is not zero, because the loads o
 interpolated between tabulated chip thicknesses.
 """
 SOBOL_ROWS = 512
-"""Number of rows of each of the two samples from which the Sobol indices are computed.
+"""Number of rows of each of the two random matrices from which the Sobol indices are computed.
 
 For a milling run, the computation with 512 rows takes 1 s. The indices then differ by at most 0.03
 from the indices with 8192 rows.
@@ -84,16 +84,18 @@ class Band:
     ----------
     times_s
         Times of the ticks [s], shape (n,).
-    nominal, quantiles
-        Loads on the tool at the nominal values of the constants, shape (n, 8), and quantiles of the
-        loads at the five `LEVELS`, shape (5, n, 8). The last axis holds the components in
+    nominal
+        Loads on the tool at the nominal values of the constants, shape (n, 8). The components are
         `tissue.fitting.bands.sample_loads.CHANNELS`.
+    quantiles
+        Quantiles of the loads at the five `LEVELS`, shape (5, n, 8).
     constants, values
         Names of the constants that vary, and their values in each sample, shape (samples, p).
-    figure_names, figures
-        Names of the summary values (see `tissue.fitting.bands.sample_loads.Figure`), and the values
-        in each sample, shape (samples, figures). A value that a sample does not have is NaN, for
-        example the time of an event that does not happen.
+    figure_names
+        Names of the summary values, see `tissue.fitting.bands.sample_loads.Figure`.
+    figures
+        Summary values of each sample, shape (samples, figures). A value that a sample does not have
+        is NaN, for example the time of an event that does not happen.
     numbers
         Index of each sample in `files`, shape (samples,).
     files

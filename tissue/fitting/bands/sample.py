@@ -194,10 +194,10 @@ def sobol_indices(
 ) -> Array:
     """Compute first-order and total Sobol indices of a function of standard normal numbers.
 
-    The numbers are independent. Two samples A and B are drawn. For each group of constants, a third
-    sample is a copy of A in which the columns of this group are taken from B. First-order indices
-    use the formula of Saltelli et al. (2010, Comput. Phys. Commun. 181:259, table 2 b). Total
-    indices use the formula of Jansen (table 2 f in the same paper).
+    The numbers are independent. Two random matrices A and B are drawn. For each group of constants,
+    a third matrix is a copy of A in which the columns of this group are taken from B. First-order
+    indices use the formula of Saltelli et al. (2010, Comput. Phys. Commun. 181:259, table 2 b).
+    Total indices use the formula of Jansen (table 2 f in the same paper).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Loads and summary values of samples, from the unit loads of one run or from a run per sample."""
+"""Loads and summary values of samples, computed from one run or from a run of each sample."""
 
 import re
 from collections.abc import Iterator
@@ -100,7 +100,7 @@ class Reweighed:
         return np.array(rows)
 
     def figures(self, x: Array) -> Array:
-        """Return the summary values `LOADS` of samples with constants `x`, shape (samples, 4)."""
+        """Return the summary values `LOADS`, shape (samples, 4), of samples with constants `x`."""
         weights = self.weights(x)
         peak = np.zeros((len(x), 2))
         sums = np.zeros((len(x), 2))
@@ -140,7 +140,7 @@ class Reweighed:
 def with_sizes(loads: Array) -> Array:
     """Append the magnitudes of force and torque to the components: from shape (..., 6) to (..., 8).
 
-    The order is that of `CHANNELS`.
+    The components have the order of `CHANNELS`.
     """
     force = loads[..., :3]
     torque = loads[..., 3:]
@@ -269,7 +269,7 @@ def _by_level(values: Array) -> dict[str, float]:
 
 
 REACH = 0.9
-"""Share of the runs that must reach a tick, so that quantiles are computed for this tick.
+"""Smallest share of runs that must last until a tick for which quantiles are computed.
 
 With a smaller share, the 5 and 95 % quantiles would describe only a part of the runs.
 """
@@ -329,7 +329,7 @@ class Workers:
 def reruns(
     scene: Scene, files: tuple[str, ...], *, workers: Workers, report: Progress
 ) -> Iterator[tuple[int, Outcome]]:
-    """Run a scene with each materials file, and yield its number and outcome when the run ends.
+    """Run a scene with each materials file, and yield the number and outcome of each ended run.
 
     Raises
     ------

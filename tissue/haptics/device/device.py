@@ -118,8 +118,8 @@ class DeviceParameters:
     mass_kg, damping_N_s_m, friction_N
         Apparent mass [kg], viscous friction [N s/m] and Coulomb friction [N] at the tip.
     encoder_step_m
-        Position resolution of the encoders [m]; 0 for exact positions. A trained predictor of the
-        force is selected for this resolution.
+        Position resolution of the encoders [m]; 0 for exact positions. For a trained force
+        predictor, the variant for this resolution is used.
     force_limit_N
         Largest force [N].
     force_slew_N_ms

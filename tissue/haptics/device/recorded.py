@@ -93,7 +93,7 @@ class MouseDevice(ComputedDevice):
     """
 
     bounds_itself = True
-    """True, so the reach of the device is not checked; a mouse pointer has no arm."""
+    """True: the reach of the device is not checked, because a mouse pointer has no arm."""
 
     def __init__(self, position_m: Triple = NOTHING) -> None:
         self._target = position_m
@@ -162,7 +162,7 @@ class Fault:
 
 
 class FaultyDevice(ComputedDevice):
-    """Wrapper of a device that makes its samples faulty during a time, for tests.
+    """Wrapper of a device that makes its samples faulty for a limited time, for tests.
 
     During the fault, samples are dropped, late, repeated, or have a wrong position.
     """

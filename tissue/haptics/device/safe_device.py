@@ -1,4 +1,4 @@
-"""Safe operation of a device in a haptic loop, which ends without force on the hand."""
+"""Safe operation of a device in a haptic loop, with zero force on the hand at the end."""
 
 import contextvars
 import signal
@@ -51,12 +51,12 @@ The slowest adapter of this package waits for at most 5 s.
 ANSWER_S = 0.2
 """Longest time for closing a device, or for commanding zero force from a second thread [s].
 
-The second thread waits at most this time for a lock, then for the command, and then for the close.
+The second thread waits for a lock, for the command and for the close, each for at most this time.
 The sum of 0.6 s is less than `GIVE_UP_S`.
 """
 OPENED = ", and give it without `with`: the run opens and closes it"
 IDLE = ("", inf)
-"""Stored name and start time of the running call while no call is running."""
+"""Stored name and start time of a call while no call of the device is running."""
 
 
 class SafeDevice:
@@ -92,7 +92,7 @@ class SafeDevice:
     entered
         True inside the ``with`` block.
     released
-        True if another thread has commanded zero force since the last read that was in time.
+        True if another thread has commanded zero force since the last read that was not late.
     slow_reads, slowest_read_s
         Number of reads that took longer than a tick, and the longest duration of such a read [s].
     """
@@ -340,7 +340,7 @@ class SafeDevice:
         return problem
 
     def _close(self) -> str:
-        """Close the device permanently; return text that completes a sentence on the outcome."""
+        """Close the device permanently, and return the outcome as the end of a sentence."""
         close = getattr(self.device, "close", None)
         if self._closed:
             return ""

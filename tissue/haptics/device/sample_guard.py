@@ -33,7 +33,7 @@ A jump or a blow causes two rough samples in a row, and thus a share of 0.23. Si
 a share above the limit `ROUGH`.
 """
 STALE = 0.25
-"""Weight of a sample that repeats the last sample, in the share of rough samples.
+"""Weight of a repeated sample in the exponential mean of the share of rough samples.
 
 With a weight of 0, the samples of a device at rest would never become valid again. A device at 250
 Hz repeats each sample three times. With a weight of 1, noise of such a device would give a share of
@@ -64,7 +64,7 @@ class Roughness:
     treated as noise when more than half of its last samples (exponential mean over 8 samples) are
     rough. The signal is valid again when less than a twentieth of its samples are rough. A jump, a
     lost sample, an encoder step or a blow makes at most two samples rough. White noise is detected
-    if its standard deviation per axis is larger than about a quarter of the limit times (1 ms)^2.
+    if its standard deviation per axis is larger than about ``limit`` (1 ms)^2 / 4.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ Samples are treated as noise if they repeatedly require a larger acceleration. A
 a device's motors cause about 200 m/s^2. A blow causes 1000 m/s^2 for one or two ticks.
 """
 FADE_S = 0.02
-"""Time in which the force fades to zero without valid samples, and in which it returns [s]."""
+"""Time of the fade to zero without valid samples, and of the return to full force [s]."""
 
 
 class SampleGuard:
@@ -202,8 +202,8 @@ class SampleGuard:
     force_limit_N, torque_limit_Nm
         Largest magnitude of force and of torque. A torque limit of zero blocks all torque.
     oldest_s
-        Age above which a sample is treated as missing [s]. A sample may also be this much newer
-        than the present time.
+        Age above which a sample is treated as missing [s]. The time of a sample may be later than
+        the present time by at most the same value.
 
     Attributes
     ----------
@@ -356,7 +356,7 @@ class SampleGuard:
 
 
 def _total(sample: Sample) -> float | None:
-    """Return the sum of all numbers of a sample, to check at once that all numbers are finite.
+    """Return the sum of all numbers of a sample, which is finite only if all numbers are finite.
 
     The result is None if an entry of the sample has a wrong type or a wrong number of entries.
     """

@@ -40,8 +40,8 @@ def minimum_jerk(share: float) -> tuple[float, float]:
 def waypoints(times_s: Array, points_m: Array) -> Path:
     """Return a path through points, shape (n, 3), in metres, at increasing times [s].
 
-    The path is straight between the points. Before the first time and after the last time, it stays
-    at the first and the last point.
+    The path is straight between the points. Before the first time, it stays at the first point, and
+    after the last time at the last point.
     """
     points = np.asarray(points_m, dtype=float)
     return lambda time_s: np.array(
@@ -62,8 +62,8 @@ class Aim:
     """Movement of the aim (the hand's target position) along a path that is known in advance.
 
     A submovement of the duration ``submovement_s`` begins after each interval ``correction_s``; see
-    `HandParameters`. Its target is the position of the path half a correction interval before the
-    end of the submovement. With this target, the aim neither leads nor lags a path of constant
+    `HandParameters`. Its target is the point that the path reaches half a correction interval
+    before the submovement ends. With this target, the aim neither leads nor lags a path of constant
     velocity. Overlapping submovements are added (Flash and Henis, 1991), so that the acceleration
     of the aim is continuous. A submovement misses its target by a random error that is proportional
     to its length (signal-dependent noise, Harris and Wolpert, 1998). The error is corrected one

@@ -187,7 +187,7 @@ class PushingHand:
 
 
 SHARE = 0.35
-"""Share of the tool's visible position error by which a correction moves the hand; assumed.
+"""Motion of the hand in a correction, divided by the tool's visible position error; assumed.
 
 The value applies if the tool moves as far as the hand. With a value of 0.5, milling overshoots: the
 sideways error is as large as the wanted depth.
@@ -248,7 +248,7 @@ class CompensatedPath:
     def _learn(self) -> None:
         """Update the ratio of tool motion to hand motion.
 
-        The ratio uses the hand motion of the last but one correction.
+        It is computed with the hand motion of the correction before the last one.
         """
         if len(self._aims_m) == 3:
             went = self.tool.tip_m - self._tip_m
@@ -256,7 +256,7 @@ class CompensatedPath:
             square = float(aimed @ aimed)
             if square > 0.0:
                 # The ratio is the mean of its old and new value, so that one unusual correction has
-                # half of its effect. This is chosen.
+                # half of its effect. The factor is a design choice.
                 self._yields += 0.5 * (
                     min(max(float(went @ aimed) / square, LEAST_YIELD), 1.0) - self._yields
                 )
@@ -264,7 +264,7 @@ class CompensatedPath:
 
 @dataclass
 class Thrust:
-    """Intended force along a line, which ends when the tool has completed its path.
+    """Intended force along a line; the force ends when the tool has completed its path.
 
     The target position of the hand follows the tool.
 

@@ -32,10 +32,11 @@ only windows in which the oscillation grows by less than 1 / 5000 per tick. With
 misses windows in which the oscillation grows by 1 / 700 per tick.
 """
 ON_THE_CIRCLE = 1e-12
-"""Distance below 1 within which the magnitude of an eigenvalue is treated as unstable.
+"""Tolerance with which the magnitude of an eigenvalue is compared with the stability limit 1.
 
-A mode that does not decay has an eigenvalue of exactly 1, which may be rounded to slightly less
-than 1. For example, the force of a very soft wall does not move the device.
+A magnitude above 1 minus this value is treated as unstable, because an eigenvalue of exactly 1 may
+be rounded to slightly less than 1. Such an eigenvalue occurs with a very soft wall, whose force
+does not move the device.
 """
 
 
@@ -90,7 +91,7 @@ class Verdict:
 class LinearHand(NamedTuple):
     """Linear part of a hand, for the stability analysis of a loop.
 
-    The entries are those of `WallLoop` with the same meaning. Without a hand, all entries are zero.
+    The entries are also fields of `WallLoop`. Without a hand, all entries are zero.
     """
 
     hand_stiffness_N_m: float
@@ -106,7 +107,7 @@ def in_hands(loop: WallLoop, hands: Sequence[tuple[float, ...]]) -> tuple[WallLo
 
 
 def settling_hands(loop: WallLoop, hands: Sequence[LinearHand]) -> tuple[LinearHand, ...]:
-    """Return the hands that do not oscillate on the device without a virtual wall.
+    """Return the hands that hold the device without oscillation if there is no virtual wall.
 
     The reflex may make a hand oscillate even without a wall. Such a hand is not used to choose a
     coupling stiffness, because the hand may oscillate with any stiffness.
@@ -173,7 +174,7 @@ def _steps(stiffness_N_m: float, loop: WallLoop) -> int:
 
 
 def nearest_stable_N_m(critical_N_m: float) -> float:
-    """Return a stable stiffness [N/m] with three digits below the critical stiffness."""
+    """Round the critical stiffness down to a stable stiffness with three digits [N/m]."""
     if not 0.0 < critical_N_m < inf:
         return critical_N_m
     unit = 10.0 ** (floor(log10(critical_N_m)) - 2)
@@ -207,7 +208,7 @@ def passive_bound_N_m(loop: WallLoop) -> float:
 
     A passive wall is stable in any passive hand. The bound is the largest K with b > T / 2 Re{(1 -
     exp(-j w T)) H} / (1 - cos w T) on a grid of frequencies w. b is the damping of the device
-    alone. T is the time for which a force is held, which is the step of the tissue model for a slow
+    alone. T is the time for which a force is held. For a slow model, it is the step of the tissue
     model. H is the transfer function of the wall, with its stiffness K and damping B, of the
     filter, and of the delay. The delay is rounded up to whole steps and includes the lag of the
     amplifier. For a slow model with a filter, which changes the held force within a step, one more

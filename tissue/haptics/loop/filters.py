@@ -19,9 +19,10 @@ ms of delay. The error is 41 % of the velocity. For the difference of two positi
 OBSERVER_MEMORY = 0.93
 """Memory of the position observer, which filters the device position for a cutting tool.
 
-The value is chosen. A larger memory smooths encoder steps more, but lowers the critical stiffness
-of the loop (tests/tissue/haptics/test_velocity.py). An encoder step of 55 um changes the observed
-position by 11 um in the same tick (1 - 0.93^3 of the step), and by less in each later tick.
+The value is a compromise. A larger memory smooths encoder steps more, but lowers the critical
+stiffness of the loop (tests/tissue/haptics/test_velocity.py). An encoder step of 55 um changes the
+observed position by 11 um in the same tick (1 - 0.93^3 of the step), and by less in each later
+tick.
 """
 
 
@@ -173,7 +174,7 @@ class SlewLimit:
 KNEE = 0.7
 """Force at which the compression begins, divided by the largest force of the device.
 
-The value is chosen. Compressed forces are in the upper 30 % of the range.
+The value is a design choice. Compressed forces are in the upper 30 % of the range.
 """
 
 

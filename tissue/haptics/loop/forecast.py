@@ -49,8 +49,8 @@ The value is three times the longest memory of the built-in predictors.
 class Forecast:
     """Linear model of a predicted force: sum of taps(a) . (x, v, F)(t - a) over ages a.
 
-    Two forecasts are equal only if they are one object. `forecast_of` returns one object for equal
-    predictors, so cached results of the stability analysis are used again.
+    Two forecasts are equal only if they are the same object. For equal predictors, `forecast_of`
+    returns the same object, so that cached results of the stability analysis can be reused.
 
     Attributes
     ----------

@@ -42,9 +42,8 @@ class WallLoop:
     stiffness_N_m, wall_damping_N_s_m
         Stiffness [N/m] and damping [N s/m] of the wall, F = -K x - B v.
     velocity_memory
-        Memory of the filter for v, see `constant_acceleration_map`. With None, v is the change of
-        position over a model step divided by the duration of the step. With None, the prediction of
-        the position uses the change of position over a tick.
+        Memory of the filter for v, see `constant_acceleration_map`. With None, v is the mean
+        velocity over the last model step, and a forecast uses the mean velocity over the last tick.
     observes
         True if x is the position that the filter for v estimates. Requires `velocity_memory`.
     tick_s
@@ -124,7 +123,7 @@ class WallLoop:
 
     @property
     def vibration_factors(self) -> Array:
-        """Vibration divided by the averaged force, shape (model_ticks, n), in n model steps."""
+        """Vibration divided by the averaged force, shape (model_ticks, n), over n model steps."""
         return (
             np.zeros((self.model_ticks, 1))
             if self.vibration is None

@@ -20,7 +20,7 @@ BAND_LIMIT_HZ = 250.0
 Vibration is felt best near this frequency (Pacinian receptors).
 """
 ENVELOPE_S = 0.05
-"""Averaging time of the force to which the amplitude of the vibration is proportional [s].
+"""Averaging time of the force [s]; the vibration is proportional to the averaged force.
 
 A haptic loop may oscillate at 10 Hz and above. The averaging reduces the amplitude of such an
 oscillation to a third or less. The reduced oscillation returns to the loop at frequencies near 250
@@ -67,10 +67,9 @@ class Vibration:
         return self.share * cos(2.0 * pi * self._turns * tick)
 
     def period(self, model_ticks: int = 1) -> Array:
-        """Return the vibration, divided by the average force, in a common period with the model.
+        """Return the vibration divided by the average force, over a common period with the model.
 
-        The common period has n steps of the tissue model, and the result has shape (model_ticks,
-        n).
+        The common period is n steps of the tissue model. The result has shape (model_ticks, n).
 
         If the period of the vibration is longer than `MOST_PERIOD_TICKS` ticks, the nearest
         vibration with a shorter period is used.
@@ -87,7 +86,7 @@ class PlayedVibration:
     """Vibration that is added to the force of a device, within the limits of the device.
 
     The vibration is F_v = share E cos(2 pi f t). E is the force F averaged with a time constant tau
-    of 0.05 s, E' = (F - E) / tau. Within a period of the vibration, E is nearly constant. The
+    of 0.05 s: dE/dt = (F - E) / tau. Within a period of the vibration, E is nearly constant. The
     vibration therefore hardly depends on the state of the loop. A change of the force at the
     frequency g returns through the vibration at the frequencies f - g and f + g. On this path, the
     amplitude of the change is multiplied by at most share / sqrt(1 + (2 pi g tau)^2). Two limits
@@ -144,7 +143,7 @@ A transient takes 40 ms, so two transients never overlap. A tool that bounces ca
 transient.
 """
 SETTLED_S = 0.01
-"""Time for which a new layer must have the largest contact area [s].
+"""Time for which a new layer must have the largest contact area, to count as a change [s].
 
 At a border between two layers, the contact areas of both layers are nearly equal. Without this
 time, the layer with the larger area could change in every tick.

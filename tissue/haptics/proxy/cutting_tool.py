@@ -13,16 +13,16 @@ from tissue.motion.motion import matrix_of
 from tissue.motion.quaternion import Quaternion, exponential, product, turn_between
 
 NATURAL_Hz = 40.0
-"""Natural frequency of the tool on the coupling spring [Hz]; determines the tool's mass.
+"""Natural frequency of the tool on the coupling spring [Hz]; it determines the tool's mass.
 
-The value is chosen below the rate at which encoder steps excite the tool. At 5 mm/s, steps of 55 um
-have a rate of 91 Hz. For a spring of 28 kN/m, as in reaming, the mass is 0.44 kg. Handpieces have a
-mass of 0.05 to 0.5 kg.
+The value is below the rate at which encoder steps excite the tool. At 5 mm/s, steps of 55 um have a
+rate of 91 Hz. For a spring of 28 kN/m, as in reaming, the mass is 0.44 kg. Handpieces have a mass
+of 0.05 to 0.5 kg.
 """
 DAMPING_RATIO = 1.0
 """Damping of the tool in free space, divided by the critical damping.
 
-The value is chosen: at critical damping, encoder steps do not make the tool oscillate.
+At critical damping, encoder steps do not make the tool oscillate.
 """
 GYRATION_M = 0.05
 """Assumed radius of gyration of the tool about its tip [m], as for a rod of 0.09 m length."""
@@ -45,25 +45,24 @@ LEAST_N = 1e-4
 
 Because of this value, a tool at rest needs no Newton step.
 
-The value is chosen far below any force that a device can render.
+The value is far below any force that a device can render.
 """
 MOST_STEPS = 24
 """Largest number of evaluations of the force in a tick.
 
-The value is chosen to limit the time of a tick. When the limit is reached, the tool has the last
-accepted velocity.
+The value limits the time of a tick. When it is reached, the tool keeps the last accepted velocity.
 """
 SLOW = 1e-6
 """Velocity at which Newton's method restarts, divided by the velocity of a free tool.
 
-The value is chosen. At this velocity, no edge force of the cutter has reached its full value. The
-velocity is not zero, so that the direction of motion is defined.
+The value is a design choice. At this velocity, no edge force of the cutter has reached its full
+value. The velocity is not zero, so that the direction of motion is defined.
 """
 SHORTEST = 1e-4
 """Share of a Newton step below which the line search accepts a point without a test.
 
-The value is chosen. Such a small share means that the force has a kink near the point. At a kink,
-the test of the line search fails for every share of the step.
+The value is a design choice. Such a small share means that the force has a kink near the point. At
+a kink, the test of the line search fails for every share of the step.
 """
 
 
@@ -80,10 +79,10 @@ class CutTissue(Protocol):
     def forces(self, velocity: Array, *, unknowns: int) -> tuple[Array, Array]:
         """Return the force and torque on the tool, linearised at a velocity.
 
-        The first array is the linearised wrench at zero velocity, shape (6,). The second array has
-        its derivatives with respect to the first 3 or all 6 components of the velocity, shape (6,
-        unknowns). With 3 unknowns, the torque in the first array is the torque at the velocity
-        itself.
+        The first array is the value of the linear function at zero velocity, shape (6,). The second
+        array, shape (6, unknowns), has its derivatives with respect to the first 3 or all 6
+        components of the velocity. With 3 unknowns, the torque in the first array is the torque at
+        the velocity itself.
 
         All vectors have components along the axes of the tool at the pose of `find_bone`.
         """
@@ -145,7 +144,7 @@ class CuttingTool(HeldTool):
         self._searched = None
 
     def rest(self) -> None:
-        """Set the velocity of the tool to zero."""
+        """Set velocity and wrench of the tool to zero."""
         self.velocity[:] = 0.0
         self.wrench[:] = 0.0
 

@@ -35,8 +35,8 @@ class HeldTurn:
     Parameters
     ----------
     stiffness_Nm_rad
-        Stiffness of the spring for torques at the tool, before scaling to the device [N m/rad]. It
-        is infinite for a tool that turns with its device.
+        Stiffness of the spring for torques at the tool, before scaling to the device [N m/rad]. The
+        stiffness is infinite for a tool that turns with its device.
     """
 
     def __init__(self, stiffness_Nm_rad: float = inf) -> None:

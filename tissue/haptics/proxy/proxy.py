@@ -41,7 +41,7 @@ from tissue.cutters.cutter import Cutter
 from tissue.models.bone.bricks import BrickStore
 
 FELT_VOXELS = 0.5 * sqrt(3.0)
-"""Largest distance from a voxel at which its trilinear fraction is not zero [voxel]."""
+"""Largest distance from a voxel's boundary at which its trilinear fraction is not zero [voxel]."""
 NOWHERE_M = 1e30
 """Distance to bone if there is no bone at all [m]; the number is finite in single precision."""
 
@@ -171,7 +171,7 @@ class ToolShell:
 STEP_M = 2.5e-4
 """Largest motion of the proxy in one step near solids [m].
 
-The value is chosen. The tests with exact solids also pass with 1 and 10 mm.
+The value is a design choice. The tests with exact solids also pass with 1 and 10 mm.
 """
 STEP_VOXELS = 0.5
 """Largest motion of the proxy in one step near voxels [voxels].

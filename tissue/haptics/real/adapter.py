@@ -59,8 +59,8 @@ class FoundDevice:
     limits
         Limits of the device; None without a device.
     problem
-        Sentence that names the missing hardware or software and its source; empty if the device can
-        be opened.
+        Sentence on the missing hardware or software and where to get it; empty if the device can be
+        opened.
     """
 
     name: str
@@ -180,7 +180,7 @@ class RecordedAdapter(HardwareAdapter):
 
     name = "recorded"
     bounds_itself = True
-    """True, so the reach of the device is not checked; a file has no arm."""
+    """True: the reach of the device is not checked, because a file has no arm."""
 
     def __init__(self, hardware: "Hardware | None" = None) -> None:
         super().__init__(hardware)

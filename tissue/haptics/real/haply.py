@@ -5,12 +5,12 @@ The adapter is not for clinical use. It was tested with a simulated service that
 protocol, and not with the device.
 
 A thread exchanges frames with the service: it sends the newest force and receives the newest state
-of the device. The service answers every frame with one state. It applies a force only as long as
-the force is sent repeatedly. The thread sends a frame only after the answer to the previous frame,
-so at most one answer is pending. An answer contains the state that belongs to the previous frame.
-The age of a state is therefore at most the duration of one exchange. Answers do not identify the
-frame to which they belong. If an answer is late, the thread immediately sends a frame with zero
-force. It then sends nothing until the answers to both frames have arrived or are treated as lost.
+of the device. The service answers every frame with one state. The service removes a force that is
+not sent repeatedly. The thread sends a frame only after the answer to the previous frame, so at
+most one answer is pending. An answer contains the state that belongs to the previous frame. The age
+of a state is therefore at most the duration of one exchange. Answers do not identify the frame to
+which they belong. If an answer is late, the thread immediately sends a frame with zero force. It
+then sends nothing until the answers to both frames have arrived or are treated as lost.
 """
 
 import socket
@@ -438,7 +438,7 @@ class _Session:
 
     @property
     def _open_socket(self) -> "ClientConnection":
-        """Open connection; `OSError` is raised if another thread has ended it."""
+        """Return the open connection; raise `OSError` if another thread has closed it."""
         if self._socket is None:
             raise OSError("the session was ended")
         return self._socket

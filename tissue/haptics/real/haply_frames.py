@@ -49,8 +49,8 @@ LONGEST_S = 0.005
 """Largest weight of one state in the share of contradictions, see `StateOrder` [s].
 
 The weight of a state is the time since the previous state. `MEMORY_S` is the averaging time of the
-share. With this averaging time, the velocity may lag behind the position by 6 ms after a blow
-without being treated as a wrong order.
+share. With this averaging time, a velocity that lags behind the position by up to 6 ms after a blow
+does not count as a wrong order.
 """
 WRONG = 0.25
 RIGHT = 0.05
@@ -67,7 +67,7 @@ LEAST_M_S = 0.05
 For smaller values, a wrong order of states has no perceptible effect.
 """
 AGAINST = -0.5
-"""Cosine of the angle between displacement and velocity below which they contradict.
+"""Cosine of the angle between displacement and velocity, below which the two contradict.
 
 On a curved path, the displacement between two states and the velocity have different directions. An
 angle of more than 120 degrees means that the device moved backwards.

@@ -332,7 +332,7 @@ class NetworkAdapter(HardwareAdapter):
 
     @property
     def round_trip_s(self) -> float:
-        """Time from sending a wrench to the first packet that confirms it [s]; nan before."""
+        """Time from sending a wrench to its first confirmation [s]; nan without a confirmation."""
         return self.session.round_trip_s
 
     def happened(self) -> list[str]:

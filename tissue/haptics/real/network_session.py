@@ -57,7 +57,7 @@ NO_WRENCH: Wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class PacketError(Exception):
-    """Error for an unusable packet, with the name under which the packet is counted as text."""
+    """Error for an unusable packet; its text is the name under which the packet is counted."""
 
 
 class Packet(NamedTuple):
@@ -177,8 +177,8 @@ class NetworkSession:
         ``version``, ``length``, ``checksum``, ``kind``, ``number``, ``late``, ``repeated``,
         ``stranger`` or ``refused``. ``silences`` counts devices that were given up.
     round_trip_s
-        Time from sending a wrench to the first packet with which the device confirms it, for the
-        newest confirmed wrench [s]; nan before the first confirmation.
+        Round trip time of the newest confirmed wrench [s]: from sending the wrench to the first
+        packet that confirms it. It is nan before the first confirmation.
     """
 
     def __init__(self, clock: Callable[[], float] = perf_counter) -> None:

@@ -43,7 +43,7 @@ In the network protocol of this package, a device that receives no packets remov
 the same time.
 """
 REST_S = 0.05
-"""Longest time to wait until the vendor's thread has set zero force at the end [s]: 50 calls."""
+"""Longest wait at the end until the vendor's thread has set zero force [s]: 50 of its calls."""
 WINDOW = 10
 """Number of calls of the vendor's thread, 10 ms, over which velocities are computed.
 
@@ -158,8 +158,8 @@ class OpenHapticsAdapter(HardwareAdapter):
     def _serve(self) -> None:
         """Read and drive the device, in the vendor's thread.
 
-        An exception is stored and raised by `poll`, because it would end the vendor's thread
-        silently.
+        An exception would end the vendor's thread silently. It is therefore stored, and `poll`
+        raises it.
         """
         try:
             hd = self._hd

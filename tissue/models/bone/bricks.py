@@ -85,7 +85,7 @@ class BrickState:
 class BrickStore:
     """Voxels on a device, in the layout of :mod:`kernels.bricks`.
 
-    The voxels come from one volume, or from parts that are added one by one.
+    The voxels come from one volume (`from_volume`), or from volumes added one by one (`add`).
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class BrickStore:
         Lattice of the bricks.
     volume
         Volume from which the store was made, with the filled fractions before any cut. None if the
-        store was filled part by part.
+        store was filled by `add`.
     start_steps
         Sum of `remaining` over the voxels of each layer before any cut, shape (layers,).
     brick_of
@@ -111,12 +111,11 @@ class BrickStore:
         Distance of each voxel's centre to the solid that the tool has swept, uint16, shape
         (capacity, 512).
     middle
-        Copy of `swept`, uint16, shape (capacity, 512). The copy of a block of 2 x 2 x 2 voxels is
-        made when cuts in this block become older cuts. Older cuts are all cuts except the most
-        recent cuts, see `kernels.carving`.
+        Copy of `swept` from the last update of `older`, uint16, shape (capacity, 512). Each block
+        of 2 x 2 x 2 voxels is updated separately, see `kernels.carving`.
     older
         Distance of each voxel's centre to the solid that older cuts have swept, uint16, shape
-        (capacity, 512).
+        (capacity, 512). Older cuts are all cuts except the most recent cuts.
     material
         Density and layer before any cut, packed in one word, uint32, shape (capacity, 512).
     nearby
@@ -170,8 +169,8 @@ class BrickStore:
         at
             Position of the volume's first brick on the grid.
         margin
-            Number of outer layers of bricks, at each face of the volume, that are not stored. These
-            layers only show how the bone continues beyond the stored bricks.
+            Number of outer layers of bricks, at each face of the volume, that are not stored. The
+            outer layers only show how the bone continues beyond the stored bricks.
 
         Returns
         -------
@@ -407,7 +406,7 @@ class BrickStore:
         return np.ascontiguousarray(dense.transpose(0, 3, 1, 4, 2, 5).reshape(nx, ny, nz))
 
     def steps_by_layer(self) -> Ints:
-        """Return the sum of `remaining` in each layer, shape (layers,)."""
+        """Return the sum of `remaining` over the voxels of each layer, shape (layers,)."""
         count = len(self.places)
         remaining = self.remaining.numpy()[:count]
         # The lower byte of a word is the layer.
@@ -420,9 +419,9 @@ class BrickStore:
 def voxels_of(places: Ints, rows: Ints, steps: Ints) -> tuple[Ints, Ints]:
     """Return the indices and values of the voxels whose values are not 0.
 
-    ``steps`` holds the values of some bricks, shape (bricks, 512). ``rows`` holds the row numbers
-    of these bricks in the store. ``places`` holds the grid positions of all bricks of the store.
-    The returned indices have shape (n, 3).
+    ``steps`` holds the values of the voxels in some bricks, shape (bricks, 512). ``rows`` holds the
+    row numbers of these bricks in the store. ``places`` holds the grid positions of all bricks of
+    the store. The returned indices have shape (n, 3).
     """
     row, column = np.nonzero(steps)
     # A row holds block after block, see `_rows`.
@@ -443,8 +442,8 @@ def _nearest(remaining: NDArray[np.uint16]) -> Bytes:
 def _filled_up(surface: Bytes, counts: tuple[int, ...]) -> Bytes:
     """Return the stored distances to the surface, padded to whole bricks.
 
-    A padded voxel has the distance of the nearest voxel of the volume plus the length of one voxel.
-    Padded voxels are always outside the bone.
+    The distance at a padded voxel is the distance at the nearest voxel of the volume plus one
+    voxel. Padded voxels are always outside the bone.
     """
     pad = [(0, BRICK * count - n) for count, n in zip(counts, surface.shape, strict=True)]
     padded = np.pad(surface, pad, mode="edge")

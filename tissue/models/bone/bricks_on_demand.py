@@ -18,7 +18,7 @@ from tissue.models.bone.bricks import BYTES_PER_VOXEL, BrickGrid, BrickStore
 Boxes = tuple[Array, Array]
 """Lowest corners and highest corners of boxes [m], each of shape (n, 3)."""
 PATCH = 4
-"""Number of bricks along the edge of a patch, the block of bricks made in one call; chosen."""
+"""Number of bricks along each edge of a patch, the smallest block that is made; chosen."""
 MARGIN = 1
 """Number of layers of bricks around a patch that are voxelised but not stored.
 
@@ -26,9 +26,9 @@ A voxel stores distances up to a limit. One brick is wider than this limit, so t
 of the patch are correct.
 """
 BYTES_WHILE_MADE = 3 * BYTES_PER_VOXEL
-"""Memory per voxel while a patch is made [bytes].
+"""Memory per voxel while a patch (a block of bricks) is made [bytes].
 
-This memory includes the stored voxel, unused capacity of the stored arrays, and temporary arrays.
+The memory includes the stored voxel, unused capacity of the stored arrays, and temporary arrays.
 """
 MOST_BRICKS = 2.5e8
 """Largest number of brick positions on the lattice; the table of positions then takes 1 GB."""
@@ -52,7 +52,7 @@ class BricksOnDemand:
     Raises
     ------
     InputError
-        If the lattice would not fit into memory, even without voxels.
+        If the table of brick positions would be too large, see `MOST_BRICKS`.
     """
 
     def __init__(self, anatomy: Anatomy, *, spacing_m: float) -> None:
@@ -99,7 +99,7 @@ class BricksOnDemand:
         return grown
 
     def _require_memory(self, patches: int) -> None:
-        """Raise an error if a number of patches does not fit into the free memory.
+        """Raise an error if the given number of patches does not fit into the free memory.
 
         A patch is a block of bricks.
         """

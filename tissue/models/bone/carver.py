@@ -44,14 +44,14 @@ CARVE_LAG_M = 2.0e-5
 """Largest motion of the tool between two carvings of the same brick [m]; chosen.
 
 The motion is also limited to a quarter of a voxel. For a fast tool, the limit is `FAST_LAG_VOXELS`.
-This delay of the carving hardly changes the force, see `STEADY_GROUPS`.
+The delay of the carving hardly changes the force, see `STEADY_GROUPS`.
 """
 STEADY_GROUPS = 16
-"""Largest number of groups of bricks carved in a tick, unless the tool is fast; chosen.
+"""Largest number of groups of bricks that are carved in a tick for a slow tool; chosen.
 
-For a fast tool, `FAST_LAG_VOXELS` sets the number. Carving one group takes 20 us in the scene
-`pedicle`. At a speed of 16 mm/s, `CARVE_LAG_M` requires 25 groups a tick. The reference is the
-force if all groups are carved in every tick. In the first 2.5 s of `pedicle`, with a simulated
+For a fast tool, the number follows from `FAST_LAG_VOXELS`. Carving one group takes 20 us in the
+scene `pedicle`. At a speed of 16 mm/s, `CARVE_LAG_M` requires 25 groups a tick. The reference is
+the force if all groups are carved in every tick. In the first 2.5 s of `pedicle`, with a simulated
 expert on a Touch device, the RMS difference from the reference is 0.05 % with 25 groups, 0.12 %
 with 16 groups and 0.15 % with 12 groups. In the scene `milling` the differences are 0.012 % (25
 groups), 0.007 % (16) and 0.006 % (12).
@@ -65,7 +65,7 @@ of 0.002 voxel. This is a fifth of `kernels.older_cuts.RAMP`.
 LONGEST_STEP_VOXELS = 0.5
 """Longest motion between two carved poses [voxel]; a longer motion in a tick is divided."""
 OLDER_LAG_M = 2.5e-4
-"""Motion of the tool after which its cuts become older cuts [m]; chosen.
+"""Motion of the tool between two updates of the older cuts [m]; chosen.
 
 Older cuts are all cuts except the most recent cuts, see `kernels.carving`. The poses that are
 stored in `RecentPoses` must cover a longer motion than this value.
@@ -73,15 +73,15 @@ stored in `RecentPoses` must cover a longer motion than this value.
 TURN = 0.9
 """Cosine of the smallest angle that counts as a change of direction (26 degrees); chosen.
 
-After such a change, the tool may reach bone that it has already cut.
+After such a change, the tool may return to places where it has already cut.
 """
 WORKERS_CPU = 32
 WORKERS_GPU = 2048
-"""Number of GPU workers that share one launch of the carving kernel; chosen."""
+"""Number of GPU workers that share one launch of the carving kernel; it affects only the speed."""
 
 
 STATE = ("_motions", "_marks", "_travelled", "_turned", "_next_group", "_debt", "_behind")
-"""Names of the attributes in a copied state, which also contains the bricks and the poses."""
+"""Names of the attributes that a copied state contains in addition to bricks and poses."""
 
 
 class Carver:
@@ -107,7 +107,7 @@ class Carver:
     tool
         The cutter's distance table on the device.
     removed_steps
-        Decrease so far of the sum of `BrickStore.remaining` in each layer, shape (layers,).
+        Decrease of the sum of `BrickStore.remaining` in each layer so far, shape (layers,).
     changes
         Counter that increases when bricks are carved or a state is restored. While the counter is
         constant, the bone does not change.
@@ -226,7 +226,7 @@ class Carver:
         return now
 
     def _sweep(self, now: Array, *, parts: int) -> None:
-        """Carve the motion of a fast tool at several poses on its path."""
+        """Carve the bone at `parts` poses on the path of a fast tool, up to the pose `now`."""
         before = self._poses[0].copy()
         for part in range(1, parts + 1):
             pose = before + part / parts * (now - before)
@@ -364,7 +364,7 @@ class CarvingReplay:
         return self.fraction
 
     def removals(self) -> tuple[Ints, Ints]:
-        """Return the voxels that become less than half full in the run, and the tick of each voxel.
+        """Return the voxels that become less than half full in the run, and the ticks when they do.
 
         The indices of the voxels have shape (n, 3). The ticks have shape (n,) and increase. Voxels
         that were less than half full before the first cut are not included. Carving may lag behind

@@ -82,7 +82,7 @@ def edge_lengths_m(shell: PointShell, cutter: Cutter) -> Array:
 
 
 def _chunk_bounds(shell: PointShell) -> tuple[Array, Array]:
-    """Return a bounding ball and a cone of normals for each chunk of points.
+    """Return a bounding ball and a cone of normals for each chunk of `CHUNK` successive points.
 
     Each array has shape (chunks, 4). A ball has a centre and a radius [m]. A cone has an axis and
     the sine of its half angle; the sine is set to 2 if the cone is wider than a half space.
@@ -113,7 +113,7 @@ pressed with half of its full edge force therefore moves at half of this speed.
 class CuttingForces:
     """Cutting forces on the elements of a tool in bone.
 
-    `find_bone` searches the bone in front of the elements once for each pose. `sums` then computes
+    `find_bone` searches for bone in front of the elements, once for each pose. `sums` then computes
     the forces for any velocity.
 
     Parameters
@@ -138,7 +138,7 @@ class CuttingForces:
         Bone in front of the cutting elements, shape (groups, FOUND, LANES). A group has LANES
         elements; `kernels.engagement.FOUND` is the number of values of an element.
     find_bone
-        Recorded kernel launch that searches the bone in front of the elements.
+        Recorded kernel launch that searches for bone in front of the elements.
     slopes
         Index of the first derivative in the array that `sums` returns, see `kernels.cutting.VALUE`.
     """

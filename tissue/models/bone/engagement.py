@@ -37,7 +37,7 @@ from tissue.models.tissue_model import Response, ToolMotion
 HIGHEST_EXPONENT = 5.0
 """Largest density exponent that a scene accepts; the smallest is 0."""
 MIDDLE = 0.5 * HIGHEST_EXPONENT
-"""Middle c of the range of exponents, which minimises the largest magnitude of p - c."""
+"""Middle c of the range of density exponents p; it minimises the largest magnitude of p - c."""
 ERROR = 1e-8
 """Largest relative error of an element's interpolated density factor.
 
@@ -56,8 +56,9 @@ class DensityNodes:
     densities_kg_m3
         Densities of the nodes [kg/m3], shape (k,).
     shares
-        Weights that distribute an element of each tabulated density to the nodes, shape (DENSITIES,
-        k). A weight is M_j / `middle_kg_m3` ** c for one element of weight 1, see the module.
+        Weights that distribute an element to the nodes, shape (DENSITIES, k). The row is the
+        density rho of the element [kg/m3]. The weight of node j is (rho / `middle_kg_m3`) ** c
+        L_j(ln rho), see the module.
     """
 
     densities_kg_m3: Array
@@ -90,7 +91,7 @@ class DensityNodes:
     def strengths(self, exponent: float, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
         """Return the weights of the nodes for a density exponent, shape (k,).
 
-        The sum of `shares` with these weights is (factor * density / reference) ** exponent.
+        For each density, `shares` @ weights is (factor * density / reference) ** exponent.
         """
         tilt = (self.densities_kg_m3 / self.middle_kg_m3) ** -MIDDLE
         return (factor * self.densities_kg_m3 / reference_kg_m3) ** exponent * tilt
@@ -132,11 +133,14 @@ For a force proportional to the thickness to the power 1 - m, the relative error
 interpolation is at most m (1 - m) ln(ratio) ** 2 / 8. For m = 0.5 this bound is 0.2 %.
 """
 THINNEST = 1e-3
-"""Smallest nonzero node of chip thickness, divided by the largest node; chosen."""
+"""Smallest nonzero node of chip thickness, divided by the largest node; chosen.
+
+Below this node, forces are interpolated linearly down to a thickness of zero.
+"""
 
 
 LINEAR_CHIPS_M = np.array([0.0, THICKEST_M])
-"""Nodes of chip thickness [m] for a linear law, which any two nodes interpolate exactly."""
+"""Nodes of chip thickness [m] for a linear law. Interpolation between two nodes is exact."""
 
 
 def chip_nodes(thickest_m: float) -> Array:
@@ -322,10 +326,10 @@ def _sums(weights: csr_array, levers: Array, shares: Array, motion: ToolMotion) 
 PLUNGE_ELEMENTS = 40_000
 """Number of cutting elements of a cutter in a plunge.
 
-In a run, a quarter of this number gives a force error of 0.1 %.
+A run with a quarter of this number has a force error of 0.1 %.
 """
 LEAST_ADVANCE = 1e-6
-"""Advance per unit of feed below which an element lies on the cutter's side and does not cut."""
+"""Advance per unit of feed below which an element of the cutter counts as not cutting."""
 
 
 def plunge_unit_loads(cutter: Cutter, feeds_per_turn_m: Array) -> tuple[Array, Array]:

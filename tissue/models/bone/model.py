@@ -186,14 +186,14 @@ class BoneModel:
         put_back(self.limits, state["limits"])
 
     def take(self, motion: ToolMotion) -> None:
-        """Take over the pose and the direction of motion of the tool."""
+        """Send the pose of the tool to the device, and store its direction of motion."""
         self._take_pose(motion.tip_m, motion.rotation)
         np.dot(motion.heading, motion.rotation, out=self._velocities)
         self._pose.host[6] = 0.0, self._recent.turns, 0.0
         self._pose.push()
 
     def _take_pose(self, tip_m: Array, rotation: Array) -> None:
-        """Write a pose to the rows of `motion_rows`, without sending them to the device."""
+        """Write a pose to the host copy of `motion_rows`, without sending it to the device."""
         np.subtract(tip_m, self._origin, out=self._tip)
         self._tip /= self._spacing
         self._axes[:] = rotation.T

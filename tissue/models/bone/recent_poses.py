@@ -14,11 +14,11 @@ RINGS = (
     (12, 4e-6),
     (24, 2.4e-5),
 )
-"""Number of poses and distance between poses on the path [m] of each ring buffer; chosen.
+"""Number of stored poses and their distance along the path [m], for each ring buffer; chosen.
 
-Together the ring buffers cover a longer path than `tissue.models.bone.carver.OLDER_LAG_M`. A tool
-that returns along its path meets bone too early by at most the distance between two poses. Between
-two poses 24 um apart, the model assumes a ridge of 0.07 um of bone under a ball of 1 mm radius.
+Together the ring buffers cover a longer path than `tissue.models.bone.carver.OLDER_LAG_M`. If a
+tool returns along its path, it meets bone too early by at most the distance between two poses. A
+ball of 1 mm radius at two poses 24 um apart leaves a ridge of bone with a height of 0.07 um.
 """
 ROUNDING = 1e-9
 """Largest change of the tool's axis that is treated as rounding of its rotation [rad]."""
@@ -69,8 +69,8 @@ class RecentPoses:
     def add(self, motion: ToolMotion) -> None:
         """Add a pose at which the tool has cut.
 
-        Each ring buffer stores the present pose as its last entry. The next pose overwrites this
-        entry if the entry is closer to the entry before than the distance in `RINGS`.
+        Each ring buffer stores the present pose as its last entry. Later poses overwrite this entry
+        until the tool has moved by the distance in `RINGS` from the previous entry.
         """
         pose = self._pose_of(motion)
         for ring, (_, spaced_m) in zip(self._rings, RINGS, strict=True):

@@ -39,8 +39,8 @@ class RegionEnd:
     margin_mm
         Value of ``voxels.margin_mm`` in the scene, for the text of the event.
     tissue
-        The whole anatomy, in the frame of the region. If None, tissue at the end of the region is
-        assumed to continue beyond the region.
+        The whole anatomy, in the frame of the region. If None, tissue at the border of the region
+        is assumed to continue beyond the border.
     reporters
         Objects whose `stop_reporting` is called when the tool leaves the region.
 
@@ -136,10 +136,10 @@ class RegionEnd:
     def _box(self, tip_m: Array, axis: Array) -> tuple[Array, Array]:
         """Return the lowest and highest corner [m] of a box that contains the tool.
 
-        The box contains the circle of each point around the tool's axis. A box around the bounding
-        cylinder would be larger, by up to 9.6 mm for the reamer of the scene ``glenoid`` with its
-        axis along (0.6, 0, 0.8). Tip, axis and corners have the shape (3,) for one pose, and (n, 3)
-        for several poses.
+        The box contains the circle that each point of the tool describes about the tool's axis. A
+        box around the bounding cylinder would be larger, by up to 9.6 mm for the reamer of the
+        scene ``glenoid`` with its axis along (0.6, 0, 0.8). Tip, axis and corners have the shape
+        (3,) for one pose, and (n, 3) for several poses.
         """
         across = np.sqrt(np.maximum(1.0 - axis**2, 0.0))
         along_m = axis[..., None] * self._heights_m

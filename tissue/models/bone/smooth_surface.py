@@ -16,10 +16,10 @@ from tissue.models.bone.elements import CuttingForces, elements_of
 SMOOTH_ELEMENTS = 500
 """Number of elements on the surface that does not cut; chosen."""
 BLOCKED = 0.25
-"""Area in bone that causes a warning, divided by the area of the smallest smooth end; chosen.
+"""Smooth area in bone that causes a warning, divided by the area of the smallest end; chosen.
 
-A smooth end is a flat end face that does not cut. The value is not zero, because a peg may touch
-the rim of its pilot hole.
+An end is a flat end face that does not cut. The value is not zero, because a peg may touch the rim
+of its pilot hole.
 """
 SINK_M_S = 2e-3
 """Speed at which a smooth surface reaches its full pressure [m/s]; chosen.

@@ -55,10 +55,10 @@ class HeatedBone(MilledTissue):
     """Bone that a cutter mills and heats: the bone model, extended by the temperature of the bone.
 
     The trace contains the largest temperature rise in the bone at every tick. The summary describes
-    the bone that remains after the run. It contains the largest temperature rise during the run,
-    and the largest rise at 0.5 mm from the cut surface. For each dose limit, it contains the volume
-    of bone above the limit, and the largest distance of this bone from the cut surface. An event
-    reports that the dose exceeds a limit in bone that the tool has left behind.
+    the bone that remains after the run. The summary contains the largest temperature rise during
+    the run, and the largest rise at 0.5 mm from the cut surface. For each dose limit, it contains
+    the volume of bone above the limit, and the largest distance of this bone from the cut surface.
+    An event reports that the dose exceeds a limit in bone that the tool has left behind.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ class HeatedBone(MilledTissue):
             self._report_dose(self._is_behind())
 
     def _is_behind(self) -> Flags:
-        """Return a mask of the grid's cells that contain bone which the tool has left behind."""
+        """Return a mask of the cells with bone that the tool has left behind, see `FRONT_M`."""
         is_left: Flags = self.heat.field.filled > 0.0
         points = self.heat.cut_points_m
         if len(points) == 0:

@@ -36,7 +36,7 @@ of the pulp in the molar scene is 0.52, 0.61 and 0.76 K for fractions of 0.1, 0.
 finer grids and a fraction of 0.5, the rise is 0.73 and 0.75 K (docs/models.md).
 """
 DEPTHS = 4
-"""Number of positions, half a cell apart, that are tried to find a cell that receives heat.
+"""Number of positions, half a cell apart, in the search for a cell that receives heat.
 
 The positions lie on the surface normal, from the surface inwards. The peak temperature rise of the
 pulp in the molar scene is 0.50, 0.60, 0.61 and 0.61 K for 1, 2, 4 and 8 positions.
@@ -49,8 +49,8 @@ class CuttingHeat:
     A share of the cutting power flows into the tissue through the surface that the tool cuts. This
     share is distributed over the surface in proportion to the power of the cutting elements. The
     rest of the power leaves with chips, spray and tool. Material that is removed later carries away
-    the heat that it has received until its removal. The value of the share is uncertain. The
-    temperature rise is proportional to it.
+    the heat that it has received until its removal. The value of the share is uncertain, and the
+    temperature rise is proportional to the share.
 
     Heat is computed in intervals of several ticks. `begin` receives the energy and the cuts of the
     last interval. `go_to` computes the heating by this energy step by step during the next
@@ -178,7 +178,8 @@ class CuttingHeat:
     def end(self, take_cuts: TakeCuts) -> bool:
         """Complete the present interval, and begin the next interval with the new energy and cuts.
 
-        Return True. If no tick was added since the last interval, do nothing and return False.
+        If no tick was added since the last interval, do nothing and return False. Otherwise return
+        True.
         """
         if self._motion is None or self._ticks == 0:
             return False

@@ -11,8 +11,8 @@ COLUMNS = 512
 """Number of columns across the width of a blade that store the depth of the cut.
 
 Each column stores one mean depth. For a pointed blade, the relative error of the cut area is
-therefore about half a column's width divided by the depth of the cut. The error is 0.2 % if the cut
-is as deep as the blade is wide.
+therefore about half a column's width divided by the depth of the cut. If the depth of the cut
+equals the width of the blade, the error is 0.2 %.
 """
 CHUNK = 4 * COLUMNS
 """Number of columns that are added when the arrays of a cut grow."""
@@ -46,10 +46,10 @@ class Cut:
     Here A is the cut area, M the area of each wall that touches the blade, and tau the friction per
     area. J is the energy release rate at which the blade cuts (Francfort and Marigo 1998). A side
     of the blade cuts when the force across this side reaches J times the length of the side in
-    uncut tissue. Under a smaller force the blade does not move in the tissue. The edge does not
-    resist motion along itself. The work of the tool equals the change of k u²/2, plus the increase
-    of J A, plus the work of friction. Except for terms of second order in the step, the energy is
-    convex in q. Therefore q moves by no more than the tool moves.
+    uncut tissue. Under a smaller force the blade does not move in the tissue. Motion of the edge
+    along its own direction has no resistance. The work of the tool equals the change of k u²/2,
+    plus the increase of J A, plus the work of friction. Except for terms of second order in the
+    step, the energy is convex in q. Therefore q moves by no more than the tool moves.
 
     Attributes
     ----------
@@ -154,12 +154,12 @@ class Cut:
     def _moved(
         self, across_m: float, out_m: float, gaps_m: Array, widths_m: Array
     ) -> tuple[float, float]:
-        """Return the travel through the tissue that minimises the energy without friction [m].
+        """Return the travel along the surface and out of it that minimises the energy [m].
 
-        The two values are the travel along the surface and the travel out of the surface. The
-        resistance of the edge depends only on the travel of the edge into the tissue. The
-        resistance of the front and back side of the blade depends on the travel along the surface.
-        The force of the edge and the force of the sides are computed in turn.
+        Friction is neglected. The resistance of the edge depends only on the travel of the edge
+        into the tissue. The resistance of the front and back side of the blade depends on the
+        travel along the surface. The force of the edge and the force of the sides are computed in
+        turn.
         """
         stiffness = self._tissue.stiffness_N_m
         scale = self._tissue.toughness_J_m2 * self._cosine / stiffness
@@ -196,12 +196,12 @@ class Cut:
         )
 
     def _gaps_m(self, reach_m: float) -> tuple[Array, Array]:
-        """Return rising gaps between the edge and uncut tissue, and the widths of these gaps [m].
+        """Return gaps between the edge and uncut tissue, smallest first, and their widths [m].
 
         A gap is the travel at which a part of the edge reaches uncut tissue. Its width is the width
-        of this part, or zero if the gap is larger than the reach. Columns that the tip or the end
-        of the edge passes in this step are left out. These columns are predicted from the motion in
-        the last step.
+        of this part, or zero if the gap is larger than `reach_m`. Columns that the tip or the end
+        of the edge will pass in this step are left out. The motion in the last step predicts which
+        columns these are.
         """
         along, depth = self.place_m
         spacing = self._spacing_m
@@ -230,8 +230,8 @@ class Cut:
         """Return the travel along the surface [m] at which a side of the blade balances the pull.
 
         ``stretch_m`` is the distance along the surface from the blade to the tool [m]; the pull is
-        proportional to the stretch. ``compliance`` is the stretch that a side balances for each
-        metre of its length in uncut tissue.
+        proportional to the stretch. At the balance, the stretch is ``compliance`` times the length
+        of the side in uncut tissue.
         """
         along, depth = self.place_m
         spacing = self._spacing_m

@@ -2,12 +2,12 @@
 
 The block is used only for display. It is linear-elastic and split along the whole plane of the
 first cut. Where the blade has not cut, the two faces of the plane stay together. Where the blade
-has cut, the faces are free. Cutting releases the stress across the cut, which is E / (1 - nu²)
-times the prestrain. This stress acts as a traction that pulls the free faces apart. The bottom of
-the block, and its two sides parallel to the cut, do not move. The opening of a long cut is then
-close to the opening of an edge crack, which is 5.8 times the prestrain times the depth (Tada, Paris
-and Irwin 2000). The fields do not include the pressure of the blade, other cuts, or contact between
-the faces. The force on the blade does not depend on the block.
+has cut, the faces are free. Before the cut, the stress across the plane is the prestrain times E /
+(1 - nu²). Cutting releases this stress, which acts as a traction that pulls the free faces apart.
+The bottom of the block, and its two sides parallel to the cut, do not move. The opening of a long
+cut is then close to the opening of an edge crack: 5.8 times the prestrain times the depth (Tada,
+Paris and Irwin 2000). The fields do not include the pressure of the blade, other cuts, or contact
+between the faces. The force on the blade does not depend on the block.
 """
 
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ DEEP = 5
 `ALONG` is the number of mesh edges along the length of a cut.
 """
 GROWTH = 1.4
-"""Ratio of the length of a mesh edge to the length of the next edge towards the cut; chosen."""
+"""Ratio of the lengths of two neighbouring mesh edges, outer to inner, next to a cut; chosen."""
 LARGEST_RATIO = 0.45
 """Upper limit of the Poisson's ratio of the block, because linear cells lock at larger ratios."""
 NEAR_M = 0.01
@@ -206,7 +206,7 @@ class IncisionFields:
     def _forces_N(self, is_open: Flags) -> Array:
         """Return the nodal forces normal to the cut plane [N].
 
-        These forces open the cut, and keep the other nodes on the plane.
+        The forces open the cut, and keep the nodes outside the cut on the plane.
         """
         forces = self._traction_Pa * self._areas * is_open
         closed = ~is_open

@@ -28,7 +28,7 @@ class IncisionModel:
 
     The force in the plane of the blade is computed by `tissue.models.incision.cut.Cut`. The plane
     and the direction of the blade at its entry define the plane and the direction of the cut.
-    Rotation of a blade inside the tissue has no resistance and no effect. A blade does not cut
+    Rotation of a blade inside the tissue is not resisted and has no effect. A blade does not cut
     sideways, across its plane. If the blade is farther than `PLAY_M` from the plane of the cut, the
     tissue pushes the blade back elastically. The stiffness of this force increases with the depth,
     up to a depth equal to the blade's width. A blade moves in an earlier cut if its whole width
@@ -36,8 +36,7 @@ class IncisionModel:
     cut. Elsewhere the tissue is treated as intact, even where the blade crosses an earlier cut. The
     force acts at the tip, so there is no torque about the tip.
 
-    Not modelled are relaxation, dependence on speed, weight, blades with a blunt back, fibres and
-    layers.
+    Relaxation, weight, blades with a blunt back, fibres and layers are not modelled.
 
     The force does not depend on speed, and is returned as ``edge`` of the response. ``engaged_m2``
     of the response is the area of the two walls that touch the blade, plus the area of the edge.

@@ -103,8 +103,8 @@ def secant_stiffness_N_m(force_N: float, *, constants: Materials) -> float:
     """Return the secant stiffness of the needle model's liver at a given force [N/m].
 
     The stiffness is not computed from the small-strain modulus of liver. With this modulus, a half
-    space under a blade would deflect by centimetres, several times as much as the liver under the
-    needle.
+    space under a blade would deflect by centimetres. This is several times the deflection of liver
+    under the needle.
     """
     liver = constants.values("needle", "liver")
     deflection = positive_root(1e6 * liver["quadratic_N_mm2"], 1e3 * liver["linear_N_mm"], force_N)
@@ -117,7 +117,7 @@ def incised_tissue(
     """Return the parameters of a tissue, with the material constants of the file `soft.toml`.
 
     The stiffness of skin is the stiffness of a half space, see `punch_stiffness_N_m`. The stiffness
-    of liver is `secant_stiffness_N_m` at the force with which the whole width of the blade cuts.
+    of liver is `secant_stiffness_N_m` at the force at which the whole edge of the blade cuts.
     """
     found = constants.values("soft", name)
     young = 1e3 * found["modulus_kPa"]

@@ -1,11 +1,11 @@
 """Displacement, strain and stress of a tissue block that a needle deflects, for display.
 
-The needle's own model (`tissue.models.needle.model`) is one-dimensional. It computes the deflection
-of the organ at the needle, and the inserted length. For display, this deflection is applied to a
-linear-elastic block around the first track of the needle. The nodes along the inserted shaft are
-displaced along the needle's axis by the deflection. Before the puncture, only the node at the entry
-is displaced. The solver computes the nodal forces that cause these displacements. The force on the
-needle does not depend on this block.
+The needle's own model (`tissue.models.needle.model`) is one-dimensional. This model computes the
+deflection of the organ at the needle, and the inserted length. For display, this deflection is
+applied to a linear-elastic block around the first track of the needle. The nodes along the inserted
+shaft are displaced along the needle's axis by the deflection. Before the puncture, only the node at
+the entry is displaced. The solver computes the nodal forces that cause these displacements. The
+force on the needle does not depend on this block.
 """
 
 from dataclasses import dataclass, replace
@@ -79,7 +79,7 @@ class Track:
             Tip positions along the motion [m], and directions of the needle's axis at these
             positions, each of shape (n, 3).
         diameter_m
-            Distance within which two entries are treated as the same entry [m].
+            Distance within which two entry points count as equal [m].
         """
         steep = outward[:, 2] >= LEAST_COSINE
         travel = np.where(steep, -tips_m[:, 2] / np.where(steep, outward[:, 2], 1.0), -np.inf)
@@ -135,10 +135,10 @@ class NeedleFields:
     The fields are computed after the end of the run. While the needle is in another track, the
     block is shown without deformation.
 
-    The finite elements are linear, so Poisson's ratio should not be near 0.5. Next to the shaft,
-    strain and stress depend on the length of the mesh edges. The force on the shaft depends on it,
-    too. The reason is that a prescribed displacement of a line in an elastic body has no converged
-    solution.
+    The finite elements are linear, so Poisson's ratio should not be near 0.5. The force on the
+    shaft, and strain and stress next to the shaft, depend on the length of the mesh edges. These
+    results do not converge when the mesh is refined, because the displacement of a line in an
+    elastic body is prescribed.
 
     Parameters
     ----------
@@ -147,8 +147,8 @@ class NeedleFields:
     elasticity
         Lame constants [Pa], shape (2,).
     near_m
-        Largest distance of an entry point from the track's entry point at which the entry belongs
-        to the track [m], for example the needle's diameter.
+        Distance from the track's entry point within which another entry point belongs to the track
+        [m], for example the needle's diameter.
     interval_s
         Time between two frames [s].
     """
@@ -223,8 +223,8 @@ class NeedleFields:
     def forces_N(self, deflection_m: float, inserted_m: float) -> Array:
         """Return the nodal forces [N] that cause a deflection, shape (k, 3).
 
-        The track has k nodes. Down to the inserted length, they are displaced along the needle by
-        the deflection. The needle is rigid, so they are not displaced across it.
+        Down to the inserted length, the k nodes of the track are displaced by the deflection along
+        the needle. The needle is rigid, so the nodes are not displaced across it.
         """
         moved = self._depths_m <= inserted_m + ON_TRACK_M
         forces = np.zeros((len(self.nodes), 3))

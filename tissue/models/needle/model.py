@@ -12,7 +12,7 @@ from tissue.models.state import State, copied, put_back
 from tissue.models.tissue_model import Response, ToolMotion
 
 ASIDE_M = 5e-3
-"""Sideways motion of a needle inside the organ [m] that causes an event, chosen by judgement."""
+"""Sideways motion of a needle inside the organ that causes an event [m]; no force depends on it."""
 
 
 class Insertion:
@@ -27,14 +27,14 @@ class Insertion:
     Here a1 and a2 are the coefficients of the organ's elastic force. ``tip`` is the cutting force,
     which is constant and acts only where the tip goes deeper than before. ``hold`` is the constant
     force with which the holes in the membranes hold the shaft. ``friction`` is the dry friction of
-    the shaft, without viscous friction. It increases with L. While the pull is smaller than the sum
-    on the right side, needle and organ move together: the shaft sticks and L is constant. The pull
-    is the applied force of Karnopp's friction law, which is compared with the static friction. The
-    shaft slides if the pull exceeds the right side with the static friction. Then the balance gives
-    u in closed form, and L = z - u. An intact membrane stops the tip until the pull also exceeds
-    the puncture force. Then the organ springs back along the shaft at once, to the deflection u of
-    the new balance. Before the puncture the force is therefore the polynomial of Okamura (2004) in
-    u. After the puncture the deflection, the elastic force and the inserted length are larger than
+    the shaft, which increases with L. Viscous friction is not included. While the pull is smaller
+    than the sum on the right side, needle and organ move together: the shaft sticks and L is
+    constant. The pull is the applied force of Karnopp's friction law. The shaft slides if the pull
+    exceeds the right side with the static friction. Then the balance gives u in closed form, and L
+    = z - u. An intact membrane stops the tip until the pull also exceeds the puncture force. Then
+    the organ springs back along the shaft at once, to the deflection u of the new balance. Before
+    the puncture of the capsule, L is 0, so the force is the polynomial of Okamura (2004) in u = z.
+    After the puncture the deflection, the elastic force and the inserted length are larger than
     zero.
 
     A shaft sticks when its motion stops or reverses, or when an obstacle stops the tip. It also
@@ -128,8 +128,8 @@ class Insertion:
         While the shaft slides, the parts are the holding force of the membranes, the cutting force
         of the tip and the friction of the shaft. While the shaft sticks, only the pull is known.
         The sliding force is the pull at which the shaft starts to slide. A pull up to the sliding
-        force is divided in the proportions of the sliding case. If the pull is larger, the excess
-        is reported as elastic if an intact membrane stops the tip, and otherwise as friction.
+        force is divided in the proportions of a sliding shaft. The excess of a larger pull counts
+        as elastic if an intact membrane stops the tip, and otherwise as friction.
         """
         pull = self.pull_N
         length = self.inserted_m
@@ -230,7 +230,7 @@ class Insertion:
         return min(deeper, default=inf)
 
     def _draw(self, quick: bool) -> None:
-        """Slide outwards while the pull of the organ exceeds the sum of hold and friction."""
+        """Slide outwards while the organ pulls more than the membranes and the friction hold."""
         tissue = self.tissue
         friction = self.tissue.friction
         while self.inserted_m > 0.0:
@@ -264,12 +264,12 @@ class NeedleModel:
 
     The force is computed by `tissue.models.needle.model.Insertion` and acts along the needle's
     axis. Sideways motion or rotation of the needle inside the organ has no resistance. An event
-    reports a sideways motion of more than `ASIDE_M` from the track. Travel and
-    inserted length are measured along the axis, from its intersection with the undeformed surface.
-    Membranes are parallel to the surface. Their inserted lengths follow from the direction of the
-    needle at its entry, and a later rotation does not change them. Only the latest track is stored.
-    A needle that leaves the organ and re-enters within one needle diameter of its last entry point
-    moves in the open track. At other points the organ is treated as intact.
+    reports a sideways motion of more than `ASIDE_M`. Travel and inserted length are measured along
+    the axis, from its intersection with the undeformed surface. Membranes are parallel to the
+    surface. Their inserted lengths follow from the direction of the needle at its entry, and a
+    later rotation does not change them. Only the latest track is stored. A needle that leaves the
+    organ and re-enters within one needle diameter of its last entry point moves in the open track.
+    At other points the organ is treated as intact.
 
     The response's ``edge`` is the pull of the organ. This pull also acts at rest and does not
     depend on speed. ``resistance`` is the viscous friction of a sliding shaft. ``engaged_m2`` has
@@ -461,8 +461,8 @@ class NeedleModel:
     def _touch(self, motion: ToolMotion, travel_m: float) -> Insertion:
         """Return the track at the point where the needle enters the surface.
 
-        The result is the last track if it starts within one needle diameter of this point.
-        Otherwise the result is a new track.
+        The result is the last track if it starts within one needle diameter of this point and the
+        needle has cut it. Otherwise the result is a new track.
         """
         entry = motion.tip_m + travel_m * motion.rotation[:, 2]
         # The comparison is also true for the first entry, because the entry before it is NaN.
@@ -476,7 +476,7 @@ class NeedleModel:
         return self.insertion
 
     def _notice_sideways(self, motion: ToolMotion, travel_m: float) -> None:
-        """Add an event if the axis of the needle has left its entry sideways."""
+        """Add an event if the needle's axis is more than `ASIDE_M` away from its entry point."""
         axis = motion.rotation[:, 2]
         x, y = motion.tip_m[:2] + travel_m * axis[:2] - self._entry_m[:2]
         if x * x + y * y > ASIDE_M**2:

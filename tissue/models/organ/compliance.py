@@ -1,4 +1,4 @@
-"""Factor of an organ's stiffness, and compliance of surface nodes that is read from the factor."""
+"""Factorisation of an organ's stiffness matrix, and compliance of its surface nodes."""
 
 from functools import cached_property
 from typing import Literal
@@ -23,18 +23,18 @@ CompliancePath = Literal["condensed", "reduced"]
 the matrix is computed from a reduced basis.
 """
 LIMIT_BYTES = 1_000_000_000
-"""Memory above which all columns stored in earlier presses are dropped [bytes].
+"""Memory above which all compliance columns from earlier presses are dropped [bytes].
 
-On a surface of 5,000 nodes, the columns of a touched node need 0.36 MB, so the columns of 2,800
-nodes fit.
+On a surface of 5,000 nodes, the three columns of a touched node need 0.36 MB, so the columns of
+2,800 nodes fit.
 """
 
 
 class Factor:
     """Sparse factor of an organ's stiffness matrix, computed when it is first needed.
 
-    If the factor would need too much memory, a multigrid solver is used instead. Displacements of
-    the surface under unit forces are stored for later presses.
+    If the factor would need too much memory, a multigrid solver is used instead. Columns of the
+    compliance (displacements of the surface under unit forces) are stored for later presses.
 
     Parameters
     ----------

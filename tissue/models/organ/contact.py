@@ -36,11 +36,11 @@ from tissue.models.organ.probe import ProbeShape, ShellProbe
 from tissue.models.state import State, require_shapes
 
 MOST_DIVISIONS = 16
-"""Largest number of contact points along a triangle's edge: a triangle then has 256 points."""
+"""Largest number of parts of a triangle's edge; the triangle then has 256 inner points."""
 
 
 def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[Int32s, Array, Array]:
-    """Return contact points on triangles: the corners, and further points in large triangles.
+    """Return contact points on triangles: the corners, and inner points of large triangles.
 
     If the longest edge of a triangle spans n > 1 spacings, the triangle is divided into n^2 equal
     parts. The centres of these parts are added as contact points.
@@ -237,9 +237,10 @@ OUTCOMES = tuple(ContactOutcome)
 START_M = 1e-6
 """Penetration allowed at the first pose of a tool [m], because of rounding errors."""
 REACH_M = 1e-4
-"""Margin of the search for triangles near the tool, added to the largest displacement [m].
+"""Margin around the tool in the search for near triangles [m].
 
-A tool with a speed of 100 mm/s moves by this margin in a tick.
+The largest displacement of the surface is added to the margin. A tool with a speed of 100 mm/s
+moves by this margin in a tick.
 """
 
 
@@ -326,7 +327,7 @@ class SurfaceContact:
         """Result of the last solve. Every solve returns this object."""
 
     def _recorded(self) -> list[Callable[[], object]]:
-        """Record the kernel launches of a tick, with the present factor of the compliance."""
+        """Record the kernel launches of a tick, with the factor that `scale_compliance` has set."""
         device = self._device
         probe = self.probe
         size = wp.vec2d(*self.probe.size_m)
@@ -433,8 +434,7 @@ class SurfaceContact:
     def scale_compliance(self, factor: float) -> None:
         """Set the factor by which the compliance is multiplied.
 
-        For a viscous organ, the factor is the fraction of the elastic displacement that occurs
-        within a tick.
+        For a viscous organ, the factor is slightly above 1, because of the creep within a tick.
         """
         self.result.compliance_scale = require_positive("factor", factor, "use 1 for no change")
         self._body.scale = wp.float64(factor)
@@ -445,9 +445,10 @@ class SurfaceContact:
     def change_compliance(self, compliance_m_N: Array) -> None:
         """Replace the values of the compliance [m/N], shape (3s, 3s), for the next solutions.
 
-        The new compliance changes the displacement that the present forces cause. This change is
-        compensated in the stored node positions without contact, so the friction law registers no
-        motion of the nodes. The caller must include the same change in the next call of `shift`.
+        With the new compliance, the present forces cause another displacement. The difference, old
+        minus new, is added to the stored node positions without contact, so that the friction law
+        registers no motion of the nodes. The caller must also add this difference to the offset in
+        the next call of `shift`.
         """
         before = self.result.displacement_m()
         self.use_compliance(compliance_m_N)
@@ -455,7 +456,7 @@ class SurfaceContact:
         self._body.last_free.assign(self._body.last_free.numpy() + less)
 
     def use_compliance(self, compliance_m_N: Array) -> None:
-        """Replace the compliance [m/N], shape (3s, 3s), but not the positions without contact."""
+        """Replace the compliance [m/N], shape (3s, 3s), without correcting any stored position."""
         self.result.compliance_m_N[:] = compliance_m_N
         if not self._on_host:
             self._body.compliance.assign(compliance_m_N)
@@ -463,7 +464,7 @@ class SurfaceContact:
         gather_all_again(self._patch)
 
     def shift(self, offset_m: Array) -> None:
-        """Set the displacements that the nodes have without contact [m], shape (s, 3)."""
+        """Set the displacements of the nodes without contact forces [m], shape (s, 3)."""
         self._body.free.assign(self.nodes_m + offset_m)
         # The search for near triangles must include the largest shift of a node.
         self._results.host[LARGEST] += float(np.linalg.norm(offset_m, axis=1).max())

@@ -42,7 +42,7 @@ class OrganFields:
     Parameters
     ----------
     organ
-        The organ. If it has a hyperelastic law, it must have no weight.
+        The organ. An organ with a hyperelastic law must have no weight.
     touchable
         Nodes on which forces act, shape (t,).
     interval_s
@@ -84,8 +84,8 @@ class OrganFields:
         time_s, force_N
             Time [s] and forces on the touchable nodes [N], shape (t, 3).
         crept_N
-            Crept forces [N], shape (t, 3): forces whose elastic response is the displacement. In an
-            organ that does not relax, the crept forces equal `force_N`.
+            Crept forces [N], shape (t, 3): forces that would cause the present displacement in an
+            elastic organ. In an organ that does not relax, they equal `force_N`.
         moved_m
             Displacements of the touchable nodes [m], shape (t, 3); None for a linear organ.
         """
@@ -105,8 +105,8 @@ class OrganFields:
     def _compute_large(self, windows: LawWindows) -> None:
         """Solve for the fields of an organ with a hyperelastic law, with or without creep.
 
-        Displacement and strain are the response of the law to the crept forces (see `keep`). For
-        stress and reaction, this response is multiplied by a ratio: the resultant of the contact
+        Displacement and strain are the response of the law to the crept forces (see `keep`). The
+        stress and reaction of this response are multiplied by a ratio: the resultant of the contact
         forces divided by the resultant of the crept forces. The result is exact if the contact
         forces are proportional to the crept forces.
         """
@@ -141,9 +141,9 @@ class OrganFields:
     ) -> tuple[Array, StressState, Array]:
         """Return displacement [m], stress and reaction [N] of the organ at a window's equilibrium.
 
-        Outside the region of the window the organ is linear. The displacement is computed with the
-        linear organ. Its loads are the crept forces, and the forces of the linear law minus the
-        forces of the hyperelastic law in the region.
+        Outside the region of the window the organ is linear. The displacement is the response of
+        the linear organ to the crept forces and to correction forces in the region. The correction
+        forces are the forces of the linear law minus the forces of the hyperelastic law.
         """
         organ = self._organ
         law = organ.law
@@ -226,8 +226,8 @@ def cauchy_stress(
 ) -> StressState:
     """Return the mean Cauchy stress and logarithmic strain of each cell, in the spatial frame.
 
-    The means are taken over the quadrature points, because no cell is inverted at these points in
-    an equilibrium. At its centre, a quadratic cell may be inverted.
+    The means are taken over the quadrature points. In an equilibrium, no cell is inverted at these
+    points, but a quadratic cell may be inverted at its centre.
 
     Parameters
     ----------

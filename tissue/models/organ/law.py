@@ -17,12 +17,12 @@ W is replaced by the compliance of the tangent stiffness at the present displace
 method).
 
 A run without a real device waits until the equilibrium is computed. With a real device, a second
-thread computes the equilibrium. Until it is found, the ticks continue with the last offset.
+thread computes the equilibrium, and the ticks continue with the last offset.
 
 An organ that relaxes is quasi-linear viscoelastic (Fung 1993, Biomechanics, 2nd edition, chapter
 7). The nodal forces of the organ are the hereditary integral of the elastic nodal forces, with one
-reduced relaxation function. The inverse of this integral, with the creep function, is applied to
-the nodal forces f. The result is called the crept forces (`tissue.models.organ.model`). The
+reduced relaxation function. The inverse of this integral contains the creep function. Applied to
+the nodal forces f, the inverse gives the crept forces (`tissue.models.organ.model`). The
 displacement is the response of the elastic law to the crept forces: the equations above hold with
 the crept forces in place of f. The integral keeps the directions of the forces fixed, so tissue
 must not rotate much while it relaxes.
@@ -60,18 +60,19 @@ MISSED = 0.01
 
 The prediction uses the compliance. If an old compliance is used too long, the force depends on the
 time at which this compliance was computed. With 0.05 the force of a deep press decreases by 4 %
-when an Ogden exponent increases from 15.5 to 16.5. With 0.02 single forces change by 4 %. With 0.01
+when an Ogden exponent increases from 15.5 to 16.5. With 0.02 some forces change by 4 %. With 0.01
 the forces differ by at most 0.1 % from a computation with a new compliance in every interval.
 """
 APART_M = 2e-4
 """Smallest depth difference of two equilibria from which the offset's slope is computed [m].
 
-With 5e-5 a deep press has the same force. With 8e-4 the largest force error while the tool moves
-increases from 1.5 to 1.9 %.
+With 5e-5 the force of a deep press does not change. With 8e-4 the largest force error while the
+tool moves increases from 1.5 to 1.9 %.
 """
 FARTHEST = 2.0
-"""Largest depth of extrapolation of the offset, divided by the depth difference of its slope.
+"""Largest change of depth over which the offset is extrapolated, as a ratio.
 
+The change is divided by the depth difference of the two equilibria that define the offset's slope.
 Without extrapolation, the largest force error while the tool moves in a deep press is 2.4 % instead
 of 1.5 %. Values above 2 change nothing.
 """
@@ -256,8 +257,8 @@ class LawOffset:
     ) -> TickState | None:
         """Solve for the equilibrium at the end of an interval, now or in the second thread.
 
-        Return the state for which an equilibrium was found, or None if no equilibrium was
-        completed. After a result that is not None, the caller must call `show`.
+        Return the state for which an equilibrium was found, or None if no equilibrium was found in
+        this call. If the result is a state, the caller must call `show`.
 
         Parameters
         ----------
@@ -292,9 +293,8 @@ class LawOffset:
         time_s, depth_m
             Present time [s], and travel of the tool in contact [m].
         held_m
-            Offset [m], shape (t, 3), from which the change starts if the compliance was replaced.
-            With this offset no node moves at the replacement. None if the compliance was not
-            replaced.
+            Offset [m], shape (t, 3), with which no node moves when the compliance is replaced. The
+            change starts from this offset. None if the compliance was not replaced.
         """
         share = self._share(time_s)
         start, end = self._shown
@@ -410,8 +410,8 @@ class LawOffset:
     def _compliance(self, present_m_N: Array) -> Array:
         """Return the compliance of the contact nodes [m/N] for the stiffness factor in use.
 
-        Outside the window, the entries of the compliance at rest are used. The compliance at rest
-        is the argument of the first call.
+        Outside the window, the entries of the compliance at rest are used. In the first call,
+        `present_m_N` must be the compliance at rest.
         """
         if self._at_rest is None:
             self._at_rest = present_m_N.copy()
@@ -447,8 +447,8 @@ class LawOffset:
     def older(self) -> float:
         """Share of the run time in which the offset was older than an interval.
 
-        An equilibrium whose computation takes longer than its interval delays the next equilibrium.
-        The total time is the sum over all equilibria, each counted with at least one interval.
+        An equilibrium whose computation takes longer than an interval delays the next equilibrium.
+        The share is the sum of these delays, divided by the sum of all intervals and delays.
         """
         if not self.took_s or self.interval_s == 0.0:
             return 0.0
@@ -456,7 +456,7 @@ class LawOffset:
         return float(late.sum() / (late + self.interval_s).sum())
 
     def _report(self, found: Followed, took_s: float, *, first: bool) -> None:
-        """Count an equilibrium, and add a notice for each kind of problem that is new."""
+        """Count an equilibrium, and add a notice for each kind of problem that occurs first."""
         self.solves += 1
         self.took_s.append(took_s)
         missed = found.residual > TOLERANCE

@@ -41,9 +41,9 @@ crept forces decay but never reach zero. The value is chosen.
 TOUCHED = 2.0 / 3.0
 """Largest distance of a node in contact from a window's centre, relative to the window's radius.
 
-For a ball-shaped tool in a scene, the radius of a window is three radii of the ball. A contact
-extends over one radius of the ball. The centre of the contact is at most one radius of the ball
-from the centre of the window.
+For a ball-shaped tool in a scene, the radius of a window is three radii of the ball. The centre of
+the contact is at most one of these radii from the centre of the window, and the contact extends one
+radius beyond its centre.
 """
 
 
@@ -151,7 +151,7 @@ class LawWindows:
         self._count = organ.space.node_count
 
     def choose(self, nodal_forces_N: Array, crept_N: Array) -> bool:
-        """Use the window nearest to the contact from now on; return True if the window changed.
+        """Use the window nearest to the contact, and return True if the window changed.
 
         A new window starts from the displacement of the last window. Nodes outside the last window
         start from the displacement by the linear law.

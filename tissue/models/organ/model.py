@@ -11,9 +11,10 @@ displacement at the next tick is::
 
     u = instant_factor W f + offset,
 
-where the offset of each surface node is known before the tick. A contact solver for elastic organs
-can therefore be used. It only has to scale the compliance and to add the offset to the surface
-without contact. The contact area may grow, shrink, move or vanish, with or without friction.
+where instant_factor, slightly above 1, includes the creep within the tick, and the offset of each
+surface node is known before the tick. A contact solver for elastic organs can therefore be used.
+The solver only has to scale the compliance and to add the offset to the surface without contact.
+The contact area may grow, shrink, move or vanish, with or without friction.
 
 With a hyperelastic law the tissue is quasi-linear viscoelastic. The crept forces are::
 
@@ -57,15 +58,15 @@ from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.system.blas_threads import one_blas_thread
 
 LINEAR_ERROR = ((0.33, 0.05), (0.52, 0.1))
-"""Pairs of depth and relative error of the linear force; a depth is divided by the ball's radius.
+"""Pairs: depth divided by the radius of the ball, and relative error of the linear force.
 
 The reference is the force of a neo-Hookean law. The depths were computed for a block, a procedural
 liver and a scanned liver, with results of 0.31-0.36 and 0.51-0.55: `python
-tests/bench/chart_liver.py`. The axisymmetric solver gives 0.34 and 0.50 for a layer of five radii.
-For a layer of 2.5 radii it gives 0.26 and 0.38, and for a layer of ten radii 0.38 and 0.57.
+tests/bench/chart_liver.py`. The axisymmetric solver gives 0.34 and 0.50 for a layer with a
+thickness of five radii, 0.26 and 0.38 for 2.5 radii, and 0.38 and 0.57 for ten radii.
 """
 SETTLED = 1e-3
-"""Relative change of the force at which alternating solutions of contact and law have converged."""
+"""Relative change of the force at which solving contact and law in turn has converged."""
 STATE = ("_ticks", "_unsettled", "_limits", "_touched_m", "_travel_m", "_tip_m", "_offset_m")
 """Names of the attributes in a copied state, in addition to contact, law and creep."""
 
@@ -319,7 +320,7 @@ class LiverModel:
         motion
             Pose of the tool in the last tick.
         limit
-            Largest number of solutions of contact and law.
+            Largest number of times that contact and law are solved.
         """
         result = self.contact.result
         changed = 0.0

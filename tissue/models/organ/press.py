@@ -16,7 +16,7 @@ from tissue.models.organ.soft_organ import SoftOrgan, ToolPath, linear_triangles
 from tissue.models.tissue_model import ToolMotion
 
 STEPS = 100
-"""Smallest number of steps from the first touch to the depth.
+"""Smallest number of steps from the first touch to the final depth.
 
 Every step gives one row of `PressCurve`. Even with friction, 10 or 400 steps change the force of a
 slanted press by only 0.01 %.
@@ -28,34 +28,34 @@ SWEEPS = 5000
 With this limit, the error of the stress in a rod under a flat punch is below 1 %.
 """
 PER_RELAXATION = 5
-"""Smallest number of steps per shortest relaxation time of an organ that relaxes; chosen."""
+"""Smallest number of steps within the shortest relaxation time of an organ; chosen."""
 LAW_STEPS = 25
 """Number of steps of a press under a hyperelastic law."""
 SOLVES = 3
 LAST_SOLVES = 20
-"""Largest number of alternating solutions of contact and law in the last step of a press.
+"""Largest number of times that contact and law are solved in the last step of a press.
 
-In the earlier steps, the largest number is `SOLVES`.
+In the earlier steps, the limit is `SOLVES`.
 """
 UNSETTLED = 0.01
-"""Relative change of the force in the last solution above which a notice is reported."""
+"""Relative change of the force in the last solution, above which a notice is reported."""
 POSES = 60
-"""Number of poses along the press at which surface nodes near the tool are searched.
+"""Number of poses along the press at which surface nodes near the tool are searched for.
 
 The force of a slanted press is the same for 5 to 240 poses, because only the last poses matter.
 """
 CLEARANCES = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 4.0)
-"""Start distances of the tool from the target that are tried, relative to the tool's size.
+"""Start distances of the tool from the target, divided by the tool's radius.
 
 The first distance at which the tool does not touch the organ is used.
 """
 SLANTED = 0.5
-"""Largest distance from the first touch to the target, relative to the tool's size.
+"""Largest distance from the first touch to the target, divided by the tool's radius.
 
 The distance is 0.41 for a ball that approaches at 45 degrees.
 """
 HALVINGS = 30
-"""Number of halvings of the path in the search for the first touch, with an error of 1 nm."""
+"""Number of halvings of the path in the search for the first touch; the error is then 1 nm."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,8 @@
 """Tools that press on an organ: a sphere, a flat cylinder, and any shape as a shell of points.
 
-A tool's tip is the origin of its frame, and its z axis runs from the tip to the shank. `kind` and
-`size_m` select the tool's distance function in the contact kernels and its parameters. `spacing_m`
-is a distance between the organ's contact points that is small enough to keep the tool from slipping
-between them.
+A tool's tip is the origin of its frame, and its z axis runs from the tip to the shank. `kind`
+selects the tool's distance function in the contact kernels, and `size_m` contains its parameters.
+If the organ's contact points are at most `spacing_m` apart, the tool cannot slip between them.
 """
 
 from abc import ABC, abstractmethod
@@ -21,13 +20,13 @@ from meshes.surfaces.triangle_files import read_triangles
 SPACINGS = 2.0
 """Number of contact points along a tool's radius, so the tool cannot slip between two points."""
 AREA_EDGE = 0.3
-"""Largest distance of nodes under a ball for an accurate contact area [radii of the ball].
+"""Largest distance between nodes under a ball for an accurate contact area [ball radii].
 
-A ball of 15 mm was pressed 4 mm into a kidney. Its area is too small by 28, 18, 14, 15 and 6 % with
-distances of 0.52, 0.46, 0.39, 0.37 and 0.31 radii (tetrahedra of order 1). With order 2, which has
-a node in the middle of each edge, it is too large by 18 % with 0.33 radii, and by 4 % with 0.26
-radii. The baseline is 58.0 mm2, with order 2 and 0.20 radii. In the scene `palpation`, the largest
-area is too large by 9 % with 0.35 radii. The command
+A ball of 15 mm was pressed 4 mm into a kidney. The contact area is too small by 28, 18, 14, 15 and
+6 % with distances of 0.52, 0.46, 0.39, 0.37 and 0.31 radii (tetrahedra of order 1). With order 2,
+which has a node in the middle of each edge, the area is too large by 18 % with 0.33 radii, and by 4
+% with 0.26 radii. The baseline is 58.0 mm2, with order 2 and 0.20 radii. In the scene `palpation`,
+the largest area is too large by 9 % with 0.35 radii. The command
 ``pytest -m "" tests/tissue/objects/test_contact_area.py`` measures the areas in the kidney.
 """
 
@@ -207,7 +206,7 @@ class ShellProbe(ProbeShape):
         return float(np.linalg.norm(self.points_m - [0.0, 0.0, height], axis=1).max()), height
 
     def distance(self, points_m: Array) -> Array:
-        """Return the distance of each point to the plane of its nearest surface point [m]."""
+        """Return the signed distance of each point to the plane of its nearest shell point [m]."""
         from scipy.spatial import cKDTree
 
         _, nearest = cKDTree(self.points_m).query(points_m)
@@ -215,10 +214,10 @@ class ShellProbe(ProbeShape):
 
 
 def _thinned(centres: Array, normals: Array, areas: Array, side: float) -> tuple[Ints, Array]:
-    """Return one point for each cube of space and surface direction, and the area of each point.
+    """Return one point for each cube and each surface direction, and the area of each point.
 
-    Space is divided into cubes with the edge `side`. The direction of the surface is one of six:
-    along or against x, y or z. The points are returned as indices into `centres`, shape (k,).
+    Space is divided into cubes with the edge `side`. A surface direction is one of six: along or
+    against x, y or z. The points are returned as indices into `centres`, shape (k,).
     """
     normal = np.abs(normals).argmax(axis=1)
     faces = 2 * normal + (np.take_along_axis(normals, normal[:, None], axis=1)[:, 0] > 0.0)

@@ -90,7 +90,7 @@ def linear_triangles(faces: Ints) -> Ints:
 
 _spaces: Kept[Space] = Kept(2)
 _patches: Kept[tuple[Ints, Ints]] = Kept(2)
-"""Cache of the surface nodes and triangles near a tool's path, by mesh, order, tool and path.
+"""Cached surface nodes and triangles near a tool's path, keyed by mesh, order, tool and path.
 
 The cache saves time in a study in which every trial presses the same mesh.
 """
@@ -161,8 +161,8 @@ class SoftOrgan:
     capsule
         Elastic membrane on the surface; None for an organ without a capsule.
     density_kg_m3
-        Density [kg/m3]. If it is not zero, the organ is loaded by its own weight, along -z, before
-        a tool touches it.
+        Density [kg/m3]. If it is given, the organ is loaded by its own weight, along -z, before a
+        tool touches it.
     prony
         Prony series with which every modulus relaxes; None for an elastic organ.
     friction
@@ -247,7 +247,7 @@ class SoftOrgan:
 
         `near_m` are the points [m], shape (k, 3), and `within_m` is the largest distance of a node
         from a point. The request has no effect if the factor was computed before. A press at
-        another place then needs additional back-substitutions before its first step.
+        another place needs additional back-substitutions before its first step.
         """
         surface = np.unique(self.space.faces)
         near = cKDTree(near_m).query(self.space.nodes_m[surface])[0] <= within_m
@@ -257,7 +257,7 @@ class SoftOrgan:
     def rest(self) -> tuple[Array, Array]:
         """Nodal load of the weight [N] and displacement under this load [m], each of shape (n, 3).
 
-        If the density is zero, load and displacement are zero.
+        If no density was given, load and displacement are zero.
         """
         load = np.zeros((self.space.node_count, 3))
         if self._density is None:
@@ -298,7 +298,7 @@ class SoftOrgan:
         """Return the compliance of t touchable nodes [m/N], shape (3t, 3t).
 
         If `path` is None, columns of the compliance are computed from the organ's factor and stored
-        for the next tool. `basis_size` is the number of modes of the path ``reduced``.
+        for the next tool. `basis_size` is the number of basis vectors for the path ``reduced``.
 
         Raises
         ------

@@ -33,9 +33,9 @@ from tissue.models.tooth.stiffness import CellStiffness
 LEAST_CURVATURE = 1e-12
 """Ratio of ``p . K p`` to ``p . D p`` below which ``p . K p`` is a rounding error.
 
-K is the stiffness, D its diagonal and p a displacement. Below this ratio, p is a motion without
-resistance. For a tooth of 1e5 nodes in a ligament a million times softer than the tooth, the
-smallest ratio of ``p . K p`` to ``p . D p`` is 1e-8.
+K is the stiffness, D its diagonal and p a displacement. Below this ratio, p counts as a motion
+without resistance. For a tooth of 1e5 nodes in a ligament a million times softer than the tooth,
+the smallest ratio of ``p . K p`` to ``p . D p`` is 1e-8.
 """
 
 
@@ -117,8 +117,8 @@ def _restrained(grid: HexGrid, nodes: Integers, held: Flags, springs: PointSprin
 INNER_STRENGTH = 0.1
 """Relative strength of the stabilisation of cells with few particles.
 
-The value is the smallest with which no cell has a singular stiffness. The error of the solution is
-close to the error without stabilisation (table in test_tooth_sphere.py).
+With smaller values, some cells have a singular stiffness. The error of the solution is close to the
+error without stabilisation (table in test_tooth_sphere.py).
 """
 LEAST_FILL = 1e-3
 """Filled fraction below which a cell is treated as if it carried no load.
@@ -126,12 +126,11 @@ LEAST_FILL = 1e-3
 The stiffness of such a cell is smaller than the change of stiffness when one particle is shifted.
 """
 MORE_ITERATIONS = 1.5
-"""Increase of the number of iterations at which the coarsest grid is factorised again.
+"""Ratio of numbers of iterations above which the coarsest grid is factorised again.
 
-The value is a factor: number of iterations now, divided by the number at the last factorisation.
-
-The value is chosen. In the molar scene with cells of 0.6 mm, 25 solutions take 58 iterations in
-total for any value from 1 to 3.
+The ratio is the present number of iterations divided by the number at the last factorisation. The
+value is chosen. In the molar scene with cells of 0.6 mm, 25 solutions take 58 iterations in total
+for any value from 1 to 3.
 """
 TOLERANCE = 1e-4
 
@@ -317,10 +316,9 @@ class ParticleBody:
         """Return nodal forces [N], shape (n, 3), that represent a force spread around a point.
 
         The force is spread over the particles within a radius of the point. The share of a particle
-        is proportional to its remaining volume times its `ball_weight`. The stress of a force on a
-        patch of fixed size converges when the cells are refined, whereas the stress of a point
-        force increases without bound. If no particle lies within the radius, as in a grid much
-        coarser than the patch, the force acts at the point.
+        is proportional to its remaining volume times its `ball_weight`. When the cells are refined,
+        the stress of such a force converges, whereas the stress of a point force increases without
+        bound. If no remaining particle lies within the radius, the force acts at the point.
         """
         near = np.array(self._tree.query_ball_point(point_m, radius_m), np.int64)
         near = near[self.cells.live[self.cells.particle_cell[self.cells.rank[near]]] > 0]
@@ -355,10 +353,10 @@ class ParticleBody:
         The energy norm of the solution is ``sqrt(u . f)``. The energy norm of the error is
         estimated as the larger of two values. The first value is ``sqrt(r . B r)``, with the
         residual r and the preconditioner B. The second value is ``sqrt(r . D^-1 r / 24)``, with the
-        diagonal D of the stiffness K. The second value is a lower bound of the error: a cell's 24
-        eigenvalues of ``D^-1 K`` are not negative, and their sum is 24. The second value also
-        detects a load along a motion without resistance, because the preconditioner ignores this
-        motion.
+        diagonal D of the stiffness K. The second value is a lower bound of the error, because the
+        24 eigenvalues of ``D^-1 K`` of a cell are not negative and their sum is 24. The second
+        value also detects a load along a motion without resistance, because the preconditioner
+        ignores this motion.
 
         Parameters
         ----------

@@ -46,14 +46,14 @@ The moduli are about 1 GPa and 18.6 GPa. Measured values of carious dentin are 0
 TOLERANCE = 7e-4
 """Relative error in the energy norm at which the solver stops.
 
-A last correction then reduces the error to a third of this value. With cells of 0.3 mm, the
-discretisation error next to a cut is a hundred times larger.
+One more correction after the last iteration reduces the error to a third of this value. With cells
+of 0.3 mm, the discretisation error next to a cut is a hundred times larger.
 """
 _MARGIN = 6
 """Number of layers of air voxels that are added around the voxel volume of a tooth.
 
-The tooth may reach the border of its volume. The surface normals are smoothed with a Gaussian of
-1.5 voxels that is cut off at four standard deviations. The added layers cover this distance.
+The tooth may reach the border of its volume. The surface normals are smoothed with a Gaussian with
+a standard deviation of 1.5 voxels, which is cut off at four standard deviations, or 6 voxels.
 """
 
 

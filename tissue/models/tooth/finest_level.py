@@ -19,7 +19,7 @@ from tissue.models.tooth.stiffness import CellStiffness
 from tissue.models.tooth.strips import LaneVector, StripProduct
 
 STEPS = ((0.0, 4.0 / 3.0), (1.0 / 5.0, 12.0 / 5.0))
-"""Factors of the last direction and of the residual in each smoothing step.
+"""Factors of the previous direction and of the residual in each smoothing step.
 
 The steps form a Chebyshev polynomial of the fourth kind with degree 2. This polynomial needs only
 the largest eigenvalue (Lottes 2023, Numer. Linear Algebra Appl. 30:e2518). With degree 1, 1.3 times
@@ -28,7 +28,8 @@ as many iterations are needed. Degree 3 saves no iteration.
 POWER_STEPS = 30
 """Number of steps of the power method.
 
-For the molar, the computed eigenvalue is 3 % below the eigenvalue after 100 steps.
+For the molar, the eigenvalue after this number of steps is 3 % below the eigenvalue after 100
+steps.
 """
 MARGIN = 1.15
 """Factor by which the computed largest eigenvalue is multiplied.
@@ -44,11 +45,11 @@ class FinestLevel:
 
     On cells in strips (groups of eight cells), the smoother ignores the springs of the ligament.
     The stiffness of these springs is below a hundredth of the stiffness of their cells, and the
-    coarser grids include the springs. With the springs, the smoother would save no iteration in the
+    coarser grids include the springs. A smoother with the springs would save no iteration in the
     scenes with a molar and with caries. With a ligament 100 times as stiff, it would save one of
     ten iterations. The position of every particle is used without approximation. If particles were
-    moved to the regular points of the strips, a molar on a rotated grid would need 31 to 44
-    iterations instead of 14 to 15.
+    moved to the centres of eight equal cubes of their cell, a molar on a rotated grid would need 31
+    to 44 iterations instead of 14 to 15.
 
     Parameters
     ----------
@@ -127,9 +128,9 @@ class FinestLevel:
         run_once(node_diagonals, len(nodes), inputs, outputs)
 
     def bound_eigenvalues(self) -> None:
-        """Estimate the largest eigenvalue of D^-1 K by the power method, with the factor `MARGIN`.
+        """Estimate the largest eigenvalue of D^-1 K: `MARGIN` times the result of the power method.
 
-        D is the diagonal of the stiffness K. The stored inverse of D is divided by this eigenvalue.
+        D is the diagonal of the stiffness K. The stored inverse of D is divided by this estimate.
         """
         layout = self._cells.layout
         inverse = self._inverse.single.numpy()

@@ -206,14 +206,14 @@ def _distinct(place: Integers) -> Int32s:
 
 
 def _table(place: Int32s) -> Int32s:
-    """Return the row in `place` of each integer position, with a border of -1 on all sides."""
+    """Return a table from integer positions to rows of `place`, with a border; -1 for no row."""
     table = np.full(place.max(axis=0) + 3, -1, np.int32)
     table[tuple(place.T + 1)] = np.arange(len(place))
     return table
 
 
 def _found(table: Int32s, place: Integers) -> Int32s:
-    """Return the row of each integer position, shape (n, 3), or -1 if the table has no row."""
+    """Return the row for each integer position, shape (n, 3); -1 if the table has no row."""
     return table[tuple(np.clip(place + 1, 0, np.array(table.shape) - 1).T)]
 
 
@@ -362,9 +362,9 @@ def bed_stiffness(
 ) -> tuple[float, float]:
     """Return the stiffness of a thin bonded layer, across and along the layer [N/m3].
 
-    The layer is bonded on both sides. If the layer is much thinner than wide, it cannot bulge at
-    its edges. The stiffness per area is then a modulus divided by the thickness. Across the layer,
-    the modulus is the confined modulus E (1 - v) / ((1 + v) (1 - 2 v)). Along the layer, it is the
+    The layer is bonded on both sides. A layer that is much thinner than wide cannot bulge at its
+    edges. The stiffness per area is then a modulus divided by the thickness. Across the layer, the
+    modulus is the confined modulus E (1 - v) / ((1 + v) (1 - 2 v)). Along the layer, it is the
     shear modulus. Such a layer is a Winkler foundation. The relative error is of the order of
     thickness divided by width.
     """
@@ -385,13 +385,13 @@ def bed_springs(
 ) -> tuple[PointSprings, float]:
     """Return springs at the faces between a tooth's voxels and its bed, the ligament.
 
-    The springs act at the centres of the tooth's voxels. The spring of a face with area A and
-    normal n has the stiffness ``A (k_t I + (k_n - k_t) n n^T)``. k_n is the stiffness of the bed
-    across the face, k_t the stiffness along the face.
+    The springs act at the centres of the tooth's voxels. The spring of a face has the stiffness ``A
+    (k_t I + (k_n - k_t) n n^T)``, with the stiffness of the bed across the surface, k_n, and along
+    the surface, k_t.
 
-    The voxel faces form a staircase. The area of each face is therefore multiplied by a weight: the
-    component of the smoothed surface normal along the normal of the face. The sum of the weighted
-    areas is therefore the area of the smooth surface.
+    The voxel faces form a staircase. n is therefore the normal of the smoothed surface, and A is
+    the area of the face times the component of n along the normal of the face. The sum of A over
+    the faces is the area of the smooth surface.
 
     Parameters
     ----------

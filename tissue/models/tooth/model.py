@@ -23,15 +23,15 @@ CENTROID_COLUMNS = ("tooth_centroid_x_um", "tooth_centroid_y_um", "tooth_centroi
 BUR_COLUMNS = ("tooth_at_bur_x_um", "tooth_at_bur_y_um", "tooth_at_bur_z_um")
 """Names of the trace columns with the rigid displacement of the tooth at the bur.
 
-The displacement is measured at the point that the bur touches. It includes the translation and the
-rotation of the tooth.
+The displacement of the point that the bur touches includes the translation and the rotation of the
+tooth.
 """
 PULP_LIMIT_K = 5.5
 """Temperature rise above which the pulp may not survive [K] (Zach and Cohen 1965)."""
 WARN_M = (1.0e-3, 0.5e-3)
-"""Thicknesses of the dentin over the pulp below which an event is reported [m].
+"""Two thicknesses of the dentin over the pulp; an event is reported below each of them [m].
 
-Below 0.5 mm the pulp is at risk. This limit is quoted from the literature from memory.
+Below 0.5 mm the pulp is at risk. This limit is quoted from memory.
 """
 
 
@@ -42,8 +42,8 @@ class ToothModel(MilledTissue):
     voxels that the pulp filled at the start. Once the bur is in dentin, the smallest distance so
     far is the smallest thickness of the remaining dentin. Before that, the distance also includes
     enamel and air. The error of the distance is half a voxel. If the voxels contain no pulp, the
-    distance is not measured. The voxels extend beyond the region that the bur can reach by a
-    margin; the pulp is then farther from the bur than this margin.
+    distance is not measured. The pulp is then farther from the bur than the margin of voxels around
+    the region that the bur can reach.
 
     If stress is computed, the tooth moves in every tick as a rigid body under the force, with the
     compliance of its ligament. The motion is reported at the centroid of the tooth's material, and
@@ -201,8 +201,7 @@ class ToothModel(MilledTissue):
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
         """Add the tick to the heat computation.
 
-        At the end of an interval, begin the next stress computation from a copy of the changed
-        voxels.
+        At the end of an interval, begin a stress computation from a copy of the changed voxels.
         """
         if self.heat is not None:
             assert self._response is not None

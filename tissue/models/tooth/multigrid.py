@@ -3,7 +3,7 @@
 After a change of a few cells, only the few coarse cells that contain these cells are computed
 again. All grids therefore always represent the present body. One symmetric V-cycle in single
 precision is the preconditioner of conjugate gradients. On the finest grid, which has no assembled
-rows, the smoother is Chebyshev's polynomial. On the coarser grids the smoother is Gauss-Seidel over
+rows, the smoother is a Chebyshev polynomial. On the coarser grids the smoother is Gauss-Seidel over
 eight colours of nodes. After the correction by the next coarser grid, the colours are visited in
 reverse order. (Trottenberg, Oosterlee, Schueller 2001, Multigrid, ch. 2.)
 """
@@ -33,8 +33,8 @@ from tissue.models.tooth.stiffness import CellStiffness
 COARSEST_NODES = 300
 """Largest number of nodes of a grid that is solved directly.
 
-If the molar's grid with cells of 2.4 mm were smoothed by one sweep instead of solved directly, the
-number of iterations to a tolerance of 1e-6 would double.
+If the molar's grid with cells of 2.4 mm were only smoothed by one sweep, the number of iterations
+to a tolerance of 1e-6 would double.
 """
 SPLIT_NODES = 4000
 """Largest number of nodes of a grid whose kernel launches run on one core.
@@ -228,7 +228,7 @@ class GridHierarchy:
     def refresh(self) -> None:
         """Update the factorisation of the coarsest grid and the estimate of the largest eigenvalue.
 
-        If nothing has changed since the last call, do nothing.
+        Do nothing if the body has not changed since the last call.
         """
         if not self._stale:
             return

@@ -59,7 +59,7 @@ to a cut, the error of the averaged stress is 6 % with cells of 0.3 mm, and decr
 cells.
 """
 CELLS_A_REACH = 2.0
-"""Smallest ratio of averaging radius to cell edge at which a cell needs only one stress point.
+"""Smallest ratio of averaging radius to cell edge at which one stress point per cell is enough.
 
 The mean stress of the particles of a cell is then replaced by the stress at their centre of mass.
 The error is of second order in the cell edge, like the error of the whole method.
@@ -80,8 +80,8 @@ class StressRecovery:
     place_m, layer
         The points [m], shape (k, 3), and the layer of each point, shape (k,).
     reach_m
-        Radius of the ball around each point [m]. If the radius is not larger than half the diagonal
-        of a cell of the particles' lattice, a point may have no particle in reach.
+        Radius of the ball around each point [m]. If the particles form a lattice and the radius is
+        at most half the diagonal of a lattice cell, a point may have no particle in reach.
     """
 
     def __init__(
@@ -199,8 +199,8 @@ def support_compliance(
 
     The wrench q is distributed to the nodes as the forces ``f = w R G^-1 q``. Here w is the weight
     of a node, R has the unit rigid motions at this node as columns, and ``G = sum w R^T R``. The
-    rigid motion is the weighted least-squares fit ``G^-1 sum w R^T u`` of the displacements u. The
-    fit is the transpose of the distribution, so the compliance is symmetric for any weights.
+    rigid motion is the weighted least-squares fit ``G^-1 sum w R^T u`` of the displacements u. This
+    fit is the transpose of the distribution of q, so the compliance is symmetric for any weights.
 
     Parameters
     ----------
@@ -242,10 +242,10 @@ class FirstGuess:
     """First guess for a solver: combination of earlier solutions with the smallest energy error.
 
     For solutions u_i of loads f_i, the coefficients c_j solve ``(u_i . f_j) c_j = u_i . f``, with
-    the new load f. Iterations are then needed only for the part of the new solution that is no
-    combination of the earlier solutions. This part is small if only the size, direction or position
-    of the force has changed. If material was removed after the earlier solutions, the guess is
-    slightly worse.
+    the new load f. Iterations are then needed only for the part of the new solution that earlier
+    solutions cannot represent. This part is small if only the size, direction or position of the
+    force has changed. If material was removed after the earlier solutions, the guess is slightly
+    worse.
 
     Parameters
     ----------

@@ -41,10 +41,10 @@ class CellStiffness:
     particles, grid
         The body, and a grid whose cells hold all of its particles.
     inner_strength
-        Strength of the stabilisation of cells with few particles. Inner stiffness is the stiffness
-        of a full cell minus the stiffness of its centre point. This fraction of the inner stiffness
-        is added to a cell with a single particle in its centre. Less is added to a cell with more
-        particles.
+        Strength of the stabilisation of cells with few particles. The inner stiffness is the
+        stiffness of a full cell minus the stiffness of its centre point. `inner_strength` times the
+        inner stiffness is added to a cell with a single particle in its centre. A cell with more
+        particles gets less.
     springs
         Springs to the ground at points of the cells; default none.
     cores

@@ -1,9 +1,9 @@
 """Background computation of the stress in a tooth, in this process or in a separate process.
 
 In one Python process, ticks and stress computations wait for each other, because both need the
-interpreter lock. The 99th percentile of this wait is almost a millisecond. A separate process
-avoids the wait. The separate process receives the removed material and the force of the bur, and
-sends its frames at the end of the run.
+interpreter lock. The 99th percentile of these waiting times is almost a millisecond. A separate
+process avoids the wait. The separate process receives the removed material and the force of the
+bur, and sends its frames at the end of the run.
 """
 
 import os
@@ -27,8 +27,8 @@ ASSEMBLY_S = 3600.0
 SOLVE_S = 600.0
 """Longest wait for one stress computation in the other process [s].
 
-`ASSEMBLY_S` limits the wait for the first answer of the process. A limit is reached only if the
-process hangs.
+`ASSEMBLY_S` limits the wait for the first answer of the process. Both limits are reached only if
+the process hangs.
 """
 
 

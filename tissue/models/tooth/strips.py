@@ -16,8 +16,8 @@ class StripLayout:
     """Memory layout of nodes and cells for SIMD kernels (lane vectors and strips).
 
     A pencil is the row of all nodes, or of all cells, with equal x and y. A strip is eight cells in
-    a row along z. In memory the nodes of a pencil follow each other along z. After the last node of
-    a pencil there is free space for a strip that extends beyond this node.
+    a row along z. In memory the nodes of a pencil follow each other along z. The last node of a
+    pencil is followed by free space, because the last strip may extend beyond this node.
 
     Attributes
     ----------
@@ -27,8 +27,8 @@ class StripLayout:
     strip
         Strip of each cell, and lane of the cell in the strip, int32, shape (c, 2).
     start, base
-        First strip of each pencil of cells, shape (p + 1,), and slots of the four lowest nodes of
-        each strip, shape (s, 4), int32.
+        First strip of each pencil of cells, shape (p + 1,), and slots of the four nodes at the
+        lower end of each strip, shape (s, 4), int32.
     colours
         Groups of pencils of cells, as int32 arrays. Two pencils of a group share no node.
     """

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 OUTER = 0.22
 INNER = 0.4
-"""Opacity of the 50 % band, which is drawn on top of the 90 % band with `OUTER`."""
+"""Opacity of the 50 % band; the 90 % band below it has the opacity `OUTER`."""
 FIRST = "#0072B2"
 TOTAL = "#E69F00"
 SHOWN = 8
@@ -110,7 +110,7 @@ def draw_sobol(
 ) -> None:
     """Draw first-order and total Sobol indices with 90 % intervals.
 
-    The picture has one panel for each result of a run that has indices, such as the peak force.
+    The picture has one panel for each key of `indices`, such as the peak force.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def _bars(axes: "Axes", rows: list[Mapping[str, Any]]) -> None:
 
 
 def _label(group: str) -> str:
-    """Return the names of a group of constants, one per line, without table and unit."""
+    """Return the names of a group of constants, one per line, without the table and the unit."""
     lines = []
     for name in group.split(" + "):
         table, *material, constant = name.split(".")

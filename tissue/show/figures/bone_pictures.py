@@ -46,7 +46,7 @@ HEIGHTS_PX = 64, 170
 """Heights of the margins above and below the renderings [pixels]."""
 TILT_DEG = (36.0, 12.0)
 OPENED_DEG = (58.0, 12.0)
-"""Angles of the view to the tool's axis, downwards and sideways, for a bone drawn cut open.
+"""Angles [degrees] between camera and tool axis, downwards and sideways, for a bone drawn cut open.
 
 `TILT_DEG` has the angles for a bone that is drawn whole.
 """
@@ -58,7 +58,7 @@ The bottom of a deeper cut is not visible from the side of the tool.
 UNCUT = 0.02
 """Removed depth, relative to the deepest cut, below which bone counts as uncut."""
 CUT_OUT = (0.82, 0.82, 0.85)
-"""Colour of the faces at which the simulated region ends, but not the bone."""
+"""Colour of the faces at which the simulated region ends although the bone continues."""
 WIDEST_ARC = 0.4
 """Largest width of the arrow for the tool's rotation, relative to the picture's height."""
 

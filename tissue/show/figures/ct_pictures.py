@@ -119,8 +119,8 @@ def draw_ct_slices(
     marks
         Site and path to mark. The slices intersect at `marks.centre_mm`.
     window_HU
-        CT values [HU] that are drawn black and white. For an image in other units, the range of its
-        own values is used.
+        CT values [HU] that are drawn as black and as white. For an image in other units, the 1 %
+        and 99.8 % quantiles of its values are used.
     """
     from matplotlib.collections import LineCollection
     from matplotlib.lines import Line2D
@@ -258,7 +258,7 @@ def draw_ct_bone(
     Parameters
     ----------
     surface
-        Surface of the bone, in the frame of the image.
+        Surface of the bone, in the frame of the CT image (LPS).
     marks
         Tool site and tool path to mark.
     density

@@ -140,9 +140,9 @@ def plain(panels: "Iterable[Axes]") -> None:
 def plain_numbers(axis: "Axis") -> None:
     """Label a logarithmic axis with plain numbers, such as 100 instead of 10^2.
 
-    An axis that spans more than about three decades is labelled only at 1, 10, 100 and so on. Other
-    axes are also labelled at 2, 5, 20, 50 and so on. An axis below about one decade has a label at
-    1.5, 3, 4 and 7 too.
+    An axis longer than about three decades is labelled only at 1, 10, 100 and so on. A shorter axis
+    is also labelled at 2, 5, 20, 50 and so on. An axis of about one decade or less has additional
+    labels at 1.5, 3, 4 and 7.
     """
     from matplotlib.ticker import LogLocator
 
@@ -188,10 +188,7 @@ colours (Moreland 2009; van der Walt and Smith 2015; Harrower and Brewer 2003).
 """
 OTHER_LAYERS = ("#CC79A7", "#F0E442", "#0072B2", "#D55E00")
 COMPONENTS = ("#0072B2", "#D55E00", "#009E73")
-"""Colours of the x, y and z components of a vector, after Okabe and Ito (2008).
-
-Colour-blind readers can distinguish the colours.
-"""
+"""Colours of the x, y and z components of a vector, after Okabe and Ito (2008)."""
 MAGNITUDE = "0.88"
 SMALL_NM = 0.02
 """Torque [N m] below which a picture uses the unit mN m.
@@ -220,17 +217,14 @@ def axis_names(run: "Run") -> tuple[str, ...]:
 
 
 def torque_unit(torque_Nm: float) -> tuple[str, float]:
-    """Return the unit for a picture of torques up to a largest value, and a factor.
-
-    The factor converts N m to the unit.
-    """
+    """Return the unit for a picture of torques up to `torque_Nm`, and the factor from N m."""
     return ("mN·m", 1e3) if torque_Nm < SMALL_NM else ("N·m", 1.0)
 
 
 def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float]]:
     """Return the colour of each layer as red, green and blue from 0 to 1, keyed by name.
 
-    Layers with a common name, such as ``dentin``, have the same colour in every scene.
+    The layers in `LAYERS`, such as ``dentin``, have the same colour in every scene.
     """
     from matplotlib.colors import to_rgb
 
@@ -251,7 +245,7 @@ def field_colours(low: float, high: float) -> str:
 
 
 def field_words(*names: str) -> str:
-    """Return the common words and the unit of the labels of several fields or trace columns.
+    """Return the words that the labels of fields or trace columns share, followed by the unit.
 
     An example is ``von Mises / kPa``.
     """

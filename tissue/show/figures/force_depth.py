@@ -35,8 +35,8 @@ APPROACH_MM = 0.2
 def deepening_rows(coordinate_mm: Array, contact: Flags) -> Ints:
     """Return the rows of the trace in which the tip is deeper than in all previous rows.
 
-    The rows start where the tip is `APPROACH_MM` above its position at the first contact. Motion
-    sideways and upwards has no rows, so that each depth occurs only once.
+    The rows start where the tip is `APPROACH_MM` above its position at the first contact. Rows of
+    sideways or upward motion are left out, so that each depth occurs only once.
 
     Parameters
     ----------
@@ -60,10 +60,11 @@ def deepening_rows(coordinate_mm: Array, contact: Flags) -> Ints:
 
 @styled
 def draw_force_depth(run: Run, path: Path) -> str | None:
-    """Draw force and other values of the tissue over depth, each where the tip is first so deep.
+    """Draw force and other values of the tissue over the depth of the tip.
 
-    The shades are the layers of largest contact in the rows of `deepening_rows`. The legend has the
-    mean force over all ticks of the run with the same layer of largest contact.
+    Only the rows of `deepening_rows` are drawn, so that each depth occurs once. Shading shows the
+    layer with the largest contact area. The legend has the mean force of each layer, over all ticks
+    of the run in which this layer has the largest contact area.
 
     Parameters
     ----------
@@ -131,9 +132,9 @@ def draw_force_depth(run: Run, path: Path) -> str | None:
 
 
 def _unseen_extremes(run: Run, name: str, rows: Ints) -> str:
-    """Return a text with the extremes of a column that lie outside the range of the drawn rows.
+    """Return a text with the extremes of a column that the drawn rows do not contain.
 
-    Rows of the trace before the first drawn row do not count.
+    Rows of the trace before the first drawn row are ignored.
     """
     values = run.trace[name][rows[0] :]
     shown = run.trace[name][rows]
@@ -152,9 +153,9 @@ def _unseen_extremes(run: Run, name: str, rows: Ints) -> str:
 
 
 def _shade(run: Run, panels: NDArray[np.object_], depth: Array, rows: Ints, force: Array) -> None:
-    """Shade the depths of each layer of largest contact, and name its mean force in the legend.
+    """Shade the layers with the largest contact area, and add their mean forces to the legend.
 
-    `depth` belongs to `rows`, and `force` to all rows of the trace.
+    `depth` has one value per entry of `rows`; `force` has one value per row of the trace.
     """
     layers = run.trace["layer"]
     colours = layer_colours(run.volume.layer_names)
@@ -184,15 +185,15 @@ SIDE_BY_SIDE = 0.15
 SPRING_BACK_MM = 1.0
 """Longest outward motion of a needle that counts as part of an insertion [mm].
 
-A needle on a device springs back by some tenths of a millimetre after a slip. The value was chosen
-by judgement. It affects only the picture.
+A needle on a device springs back by some tenths of a millimetre after a slip. With a smaller value,
+this motion would be drawn as a withdrawal.
 """
 
 
 def _inward(depth_mm: Array) -> Flags:
     """Return True for each tick of an insertion, and False for each tick of a withdrawal.
 
-    A motion against the present direction counts if it is longer than `SPRING_BACK_MM`.
+    A reversal counts only if the reversed motion is longer than `SPRING_BACK_MM`.
     """
     found = np.ones(len(depth_mm), dtype=bool)
     is_inward = True

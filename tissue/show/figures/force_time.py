@@ -33,7 +33,7 @@ MOST_EVENTS = 6
 A list of more events would be higher than a panel.
 """
 FOOTNOTE_LETTERS = 92
-"""Largest number of letters in a footnote line: 8.5 points in 7 inches; 101 do not fit."""
+"""Largest number of letters in a footnote line, which is 7 inches wide with 8.5 point letters."""
 EVENT_IN = 0.17
 """Height of a text line for an event below a picture [in]."""
 FLICKER_S = 0.02
@@ -45,7 +45,7 @@ would look like stripes.
 
 
 def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, int, str]]:
-    """Return runs of equal entries as (first index, index after the last entry, entry).
+    """Return intervals of equal entries as (first index, index after the last entry, entry).
 
     An interval with fewer entries than `shortest` is joined with the previous interval. If the
     first interval is too short, it is joined with the next interval.
@@ -180,7 +180,7 @@ def draw_force_torque(run: Run, path: Path) -> None:
 def _draw_components(
     axes: "Axes", run: Run, name: str, unit: str, scale: float, label: str
 ) -> None:
-    """Draw a vector's model components in front of the components commanded to the device.
+    """Draw a vector's components: values of the model in front of commanded values.
 
     With simulated vibration by the cutter's teeth, the commanded components look like wide bands.
     """
@@ -226,9 +226,9 @@ def _draw_path(axes: "Axes", run: Run) -> None:
 
 LEGEND_LETTERS = 125
 BESIDE_NAME_LETTERS = 25
-"""Letters in a row of a legend, and letters of an entry besides its name, as wide as its patch.
+"""Width of a legend entry without the layer's name [letters]: colour patch, other words and gaps.
 
-A wider legend would leave the panels only a part of the figure's width.
+`LEGEND_LETTERS` is the largest width of a legend row. A wider legend would narrow the panels.
 """
 MOMENT_S = 0.06
 """Duration [s] of an enlarged interval, in which latencies of milliseconds are visible."""
@@ -258,7 +258,7 @@ SATURATED = "#F0E442"
 def draw_played(run: Run, path: Path) -> None:
     """Draw the forces at the device [N] and the positions of tool and device [mm] over time.
 
-    Shading marks the times at which the force is reduced to the range of the device.
+    Shading marks the times at which the force is compressed into the range of the device.
 
     A separate panel enlarges the interval with the largest change of force per millisecond in
     contact.

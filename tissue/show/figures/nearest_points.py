@@ -13,9 +13,9 @@ from tissue.simulation.run import Run
 ALONG, AROUND, FINE = 3, 48, 40
 """Numbers of balls in the search for the ball of a tool that is nearest to a structure.
 
-`ALONG` balls lie along each segment of the tool's medial axis, and `AROUND` balls around its axis.
-In the second search, `FINE` balls lie in both directions. The numbers affect only the picture;
-`tests/tissue/show/figures/test_layer_pictures.py` checks the length of the drawn line.
+The first search tests `ALONG` balls along each segment of the tool's medial axis, at `AROUND`
+angles about the tool's axis. The second search tests `FINE` positions and `FINE` angles near the
+result. `tests/tissue/show/figures/test_layer_pictures.py` checks the length of the drawn line.
 """
 
 
@@ -30,10 +30,10 @@ class Closest:
     row
         Row of the trace with the smallest distance.
     points_mm
-        Nearest points of the tool and of the structure [mm], shape (2, 3). In an overlap, the
-        deepest point of the tool, and the point of the structure's surface that is nearest to it
-        in the direction of the depth. The length of the line between the two points is the
-        magnitude of the distance.
+        Nearest points of the tool and of the structure [mm], shape (2, 3). In an overlap, the first
+        point is the deepest point of the tool. The second point lies on the structure's surface, in
+        the direction in which the depth is measured. The length of the line between the points is
+        the magnitude of the distance.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Closest:
 
 
 def closest(run: Run) -> Closest | None:
-    """Return the smallest of the `distances_to_structures`.
+    """Return the smallest distance of a run between the tool and a protected structure.
 
     The result is None for a run without structures.
     """

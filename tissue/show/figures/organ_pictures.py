@@ -42,12 +42,11 @@ TOOL = (0.72, 0.72, 0.75)
 INCLUSION = (0.337, 0.706, 0.914)
 """Colour (red, green, blue) of an inclusion's outline; `TOOL` is the colour of the tool."""
 NUDGE = (0.0, 1e-4, 0.0)
-"""Shift of a section from the tip of the tool [mm], so that it does not pass exactly through nodes.
-"""
+"""Shift of a section from the tip of the tool [mm]; the section then passes through no nodes."""
 ABOVE = 0.2
 """Length of a needle that is drawn above an organ, relative to the height of the organ."""
 HEIGHTS_PX = 90, 150
-"""Heights above and below the renderings [pixels]."""
+"""Heights of the margins above and below the renderings [pixels]."""
 
 
 def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, str]:

@@ -1,7 +1,7 @@
 """Section through the tool, with layers, removed tissue, stress and structures to keep clear of.
 
 The plane goes through the deepest point of the tool. For a scene with structures to keep clear of,
-it goes through the tool's axis and the nearest point of a structure.
+the plane contains the tool's axis and the nearest point of a structure.
 """
 
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ TOOL: dict[str, Any] = {"color": "0.1", "linewidth": 1.0, "linestyle": (0, (3, 1
 NEAREST: dict[str, Any] = {"color": "black", "marker": "o", "markersize": 3.0}
 """Look of the line between the nearest points of tool and structure."""
 LAYERS_APART_MM = 1e4
-"""Artificial distance [mm] between layers, so that the nearest cell is in the same layer."""
+"""Artificial distance [mm] between layers, so that a search finds cells of the same layer only."""
 DECADES = 3.0
 """Largest span of a logarithmic colour scale [decades].
 
@@ -57,8 +57,8 @@ class Section:
     Attributes
     ----------
     axes
-        Unit vectors (rows): the directions of the first and the second index of the arrays, and the
-        normal of the plane, shape (3, 3).
+        Unit vectors (rows), shape (3, 3): the directions u and v of the first and the second array
+        index, and the normal of the plane.
     origin_mm
         Point of the plane with the coordinates 0 along the first two axes [mm], shape (3,).
     row
@@ -96,8 +96,8 @@ def _points_mm(axes: Array, origin_mm: Array, u_mm: Array, v_mm: Array) -> Array
 def plane_of(run: Run, row: int) -> tuple[tuple[int, int, int], float]:
     """Return the section plane through the deepest point of the tool up to a row of the trace.
 
-    The plane is parallel to two world axes: the axis closest to the tool's axis, and, of the other
-    two axes, the one along which the tool moves farther.
+    The plane is parallel to two world axes. The first axis is closest to the tool's axis. The
+    second axis is the remaining axis along which the tool moves farther.
 
     Returns
     -------
@@ -204,8 +204,8 @@ def nearest_frame(series: FieldSeries, time_s: float) -> Frame | None:
 def moment_of(run: Run) -> tuple[int, Frame | None]:
     """Return the row of the trace and the frame of fields that the section shows.
 
-    The frame is that of `loaded_frame`, and the row has the same time. Without stress, the frame is
-    None, and the row is the last row with contact or, without contact, the last row.
+    With stress fields, the frame of `loaded_frame` and the row at its time are returned. Otherwise,
+    the frame is None, and the row is the last row with contact or, without contact, the last row.
     """
     series = run.parts.fields
     frame = None if series is None else loaded_frame(series)
@@ -405,7 +405,7 @@ STRUCTURES = ("#D55E00", "#0072B2", "#009E73", "#000000")
 AROUND_MM = 3.0
 """Margin [mm] around the tissue and the nearest points in pictures with protected structures.
 
-The largest distance between tool and structure is added to the margin around the tissue.
+The margin around the tissue is wider by the tool's distance from the farthest structure.
 """
 ACROSS = 200
 """Number of points along each side of a section at which distances are computed."""
@@ -414,9 +414,8 @@ ACROSS = 200
 def shown_mm(run: Run, section: Section, near: Closest | None) -> tuple[float, float, float, float]:
     """Return the drawn extent of a section, (u0, u1, v0, v1) [mm].
 
-    Without protected structures, the whole section is drawn. Otherwise, the extent is that of the
-    tissue plus a margin in which structures near the tool are visible. It contains the nearest
-    points.
+    Without protected structures, the whole section is drawn. Otherwise, the drawn extent contains
+    the tissue, a margin in which structures near the tool are visible, and the nearest points.
     """
     tissue = np.argwhere(section.start > 0.0)
     distances_mm = distances_to_structures(run).values()

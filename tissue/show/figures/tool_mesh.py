@@ -1,4 +1,4 @@
-"""Surfaces of tools and of infinite faces such as a wall, for drawing, and tool poses."""
+"""Drawable surfaces of tools and of infinite faces, such as a wall, and poses of tools."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -165,7 +165,7 @@ def _turned(line_mm: Array) -> "pyvista.PolyData":
 
 
 FACE_MM = 30.0
-"""Edge [mm] of the drawn part of an infinite face; drawn length of a wall beyond the path."""
+"""Edge [mm] of a drawn layer face; a drawn wall is at least this much longer than the path."""
 WALL_MESH_MM = 5.0
 """Width of the squares of a drawn wall [mm]."""
 

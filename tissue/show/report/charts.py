@@ -18,7 +18,7 @@ Record = dict[str, Any]
 LARGEST = 32767
 """Largest absolute value of a number that is encoded with 16 bits."""
 STEPS = 255
-"""Number of steps of a colour: one byte, as many as a screen shows."""
+"""Number of steps of an encoded colour scale: one byte per value, as on a screen."""
 
 
 def packed(values: NDArray[np.integer[Any]]) -> Record:
@@ -45,8 +45,8 @@ def packed_vectors(values: ArrayLike) -> Record:
 
     The step size is the range of the widest column divided by 65,532.
 
-    A number is decoded as ``low`` + ``step`` * (whole + 32767), where ``whole`` is the integer and
-    ``low`` belongs to the column.
+    A number is decoded as ``low`` + ``step`` * (whole + 32767). ``whole`` is the integer, and
+    ``low`` is the smallest value of the column, rounded down to a multiple of ``step``.
 
     A value of 0 stays exactly 0.
     """
@@ -82,7 +82,7 @@ HIDDEN = ("tool_q", "device_q")
 
 
 def columns(trace: Table) -> Record:
-    """Return the encoded columns of a trace that vary.
+    """Encode the columns of a trace whose values vary and are all finite.
 
     The index of the layer with the largest contact area in each row is also encoded.
     """

@@ -118,7 +118,7 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
 
 
 def _distance_text(kept: Summary) -> str:
-    """Return a text with the breach of a structure, or the smallest distance and the margin."""
+    """Return a text with the breach of a structure, or the smallest distance without a breach."""
     if (breach_s := kept.get("first_breach_s")) is not None:
         return f"breached, {kept['breach_depth_mm']:.2g} mm deep, first at {breach_s:.3f} s"
     distance = f"{kept['least_distance_mm']:.3f} mm"
@@ -269,7 +269,7 @@ def band_section(saved: SavedRun, text: Text) -> str:
 
 
 def pictures_of(saved: SavedRun, captions: Mapping[str, str]) -> str:
-    """Return the HTML of the pictures that a run has, from the captions by the names of files."""
+    """Return the HTML of a run's pictures; `captions` is keyed by file name without suffix."""
     found = []
     for name, about in captions.items():
         for ending, kind in PICTURES.items():
@@ -281,7 +281,7 @@ def pictures_of(saved: SavedRun, captions: Mapping[str, str]) -> str:
 
 
 LARGEST_PREFIX = "greatest_"
-"""Prefix of the names of summary numbers that are the largest value of a column or a field."""
+"""Prefix of the names of numbers in a summary that are maxima of a column or a field."""
 
 
 def _band_text(band: Summary) -> str:

@@ -48,7 +48,7 @@ MOST_MOMENTS = 40
 The report contains a surface of the carved bone for each of these times.
 """
 LONGEST = 0.3
-"""Ratio of the length of the arrow of the largest force to the size of the touched object."""
+"""Length of the arrow for the largest force, relative to the size of the touched object."""
 UNCUT = 0.02
 """Removed depth, relative to the deepest cut, below which bone counts as uncut."""
 
@@ -92,7 +92,7 @@ def stage(saved: SavedRun) -> Record:
 
 
 def _ends(points_mm: list[Array]) -> list[list[float]]:
-    """Return the lowest and highest corner around points."""
+    """Return the lowest and the highest corner of the box around points [mm]."""
     # nothing is shown, so any box is valid
     if not points_mm:
         return [[-1.0] * 3, [1.0] * 3]

@@ -11,8 +11,8 @@ from meshes.base.arrays import Array
 Plotter: TypeAlias = Any
 """Type of a `pyvista.Plotter`.
 
-The alias is not the class itself: PyVista declares methods that forward to a renderer, but without
-their arguments.
+The alias is `Any`, because PyVista does not declare the arguments of methods that it forwards to a
+renderer.
 """
 STILL_PX = 2
 """Largest motion of the mouse during a click [pixels], because hands are never still."""

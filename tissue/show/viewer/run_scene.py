@@ -73,7 +73,7 @@ def _chart(
 
 FORCE = "#0072B2"
 LEAST = 1e-3
-"""Ratio to the largest force below which no arrow is drawn."""
+"""Force, relative to the largest force, below which no arrow is drawn."""
 
 
 class ToolShown:
@@ -374,7 +374,7 @@ class RunScene:
 
 
 def times_of(saved: SavedRun, series: SavedFields | None) -> Array:
-    """Return the times [s] of a run that can be shown: of its trace, or else of its fields."""
+    """Return the times [s] in the trace of a run or, without a trace, in its fields."""
     if saved.trace is not None and len(saved.trace.rows):
         return saved.trace["time_s"]
     return np.zeros(0) if series is None else series.times_s

@@ -133,11 +133,11 @@ class BoneOverTime:
         return True
 
     def rest(self, shown: Collection[int]) -> "pyvista.PolyData":
-        """Return the part of the surface [mm] of the layers `shown` that no cut changes."""
+        """Return the surface [mm] of the layers `shown`, only where no cut changes it."""
         return _smooth(self._of(shown).rest())
 
     def cut(self, shown: Collection[int]) -> "pyvista.PolyData":
-        """Return the part of the surface [mm] of the layers `shown` that cuts change.
+        """Return the surface [mm] of the layers `shown`, only where cuts change it.
 
         The surface belongs to the tick that was set with `at`.
         """
@@ -207,7 +207,7 @@ def _over_time(
 ) -> BoneOverTime:
     """Return the bone carved along poses, by default the poses of the trace.
 
-    The positions in the trace are accurate to 20 µm.
+    With the poses of the trace, the bone is accurate to about 20 µm.
     """
     from tissue.simulation.builders.cutting import cutter_of
 

@@ -66,10 +66,10 @@ def view(
     overwrite
         Whether to replace an existing file of the screenshot or movie.
     progress
-        Function that is called with the share of the file that is finished.
+        Function that is called with a description of the work and the finished share, 0 to 1.
     opened
-        If this function is given, the run is shown in a browser instead of a window. It is called
-        with the address of the page. The view ends when the page has been closed for some seconds.
+        Function that is called with the address of a page. If it is given, the run is shown in a
+        browser instead of a window, until the page has been closed for some seconds.
 
     Returns
     -------
@@ -222,7 +222,7 @@ def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
 
 
 def _about(saved: SavedRun) -> str:
-    """Return a sentence about the run: the largest loads, or when the run was stopped."""
+    """Return a sentence with the largest loads of a run, or with the time at which it stopped."""
     if saved.complete:
         force, torque = (saved.summary[name]["peak"] for name in ("force_N", "torque_Nm"))
         return (
@@ -283,8 +283,8 @@ OPENS_S = 120.0
 CLOSES_S = 10.0
 """Longest time until a page is closed [s].
 
-`OPENS_S` is the longest time until a page is served. It is long because a large run is read and
-drawn before its page is served.
+`OPENS_S` is the longest time until a page is served. It is longer, because a large run must be read
+and drawn first.
 """
 
 

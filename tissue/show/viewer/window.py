@@ -33,7 +33,7 @@ PLACE_PX = (40, 380)
 LONGEST = 0.15
 """Largest length of a scale bar, relative to the width of the window."""
 BORDER = 0.02
-"""Free border of a picture without text and controls before cropping, relative to its size."""
+"""Border of a picture without text and controls before it is cropped, relative to its size."""
 FINE = 2
 AROUND_PX = 8
 """Margin around the content of a picture without text and controls [pixels].
@@ -277,7 +277,7 @@ class Window:
         self.choose(self._names[place % len(self._names)])
 
     def toggle(self, *names: str) -> None:
-        """Hide the given layers that are shown, and show those that are hidden."""
+        """Hide those of the given layers that are shown, and show the hidden ones."""
         self.hidden ^= frozenset(names)
         self._shown.hide(self.hidden)
         self.plotter.render()

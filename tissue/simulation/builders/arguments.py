@@ -36,14 +36,14 @@ LAYERS = (*GLENOID_LAYERS, *VERTEBRA_LAYERS, *TOOTH_LAYERS)
 A file of material constants may name any of these layers, even layers that the scene does not have.
 """
 UNUSUAL = 10.0
-"""Ratio beyond the cited range of a constant at which a run notes that the unit may be wrong.
+"""Factor by which a value must lie outside its cited range to make a run question the unit.
 
 The value was chosen by judgement.
 """
 
 
 def unusual_modulus(key: str, value_kPa: float, cited: Constant, material: str) -> str:
-    """Return a note if a modulus is far outside the cited range of a material, else no text.
+    """Return a note if a modulus is far outside a material's cited range, else an empty text.
 
     `key` is the key or argument with which the modulus was given.
     """
@@ -90,10 +90,10 @@ def given_note(
 ) -> dict[str, str]:
     """Return the note ``materials``, which lists the given constants that are used.
 
-    `by` is the name of the scene or other object that uses the constants, as shown in the note.
+    `rests_on` lists the constants that a scene or another object uses; `by` names this object in
+    the note.
 
-    There is no note if no constants were given. In this case, all constants have their built-in
-    values.
+    If no constants were given, there is no note, and all constants have their built-in values.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def given_note(
 
 
 def _unusual(full: str, value: float) -> str:
-    """Return a sentence if a given constant is far outside the built-in range, else no text."""
+    """Return a sentence if a constant is far outside its built-in range, else an empty text."""
     table, material, name = full.split(".")
     layer_material = CUT_AS.get(material, "bone")
     cited = constants(table, material if material in listed(table) else layer_material)[name]
@@ -180,7 +180,7 @@ def require_files(scene: Scene) -> None:
 
 
 def _require_some(given: Materials, used: Sequence[Used], *, by: str) -> None:
-    """Raise an error, which lists the used constants, if none of the given constants is used."""
+    """Raise an error if no given constant is in `used`; the error lists these constants."""
     if given.given.keys().isdisjoint(one.full for one in used):
         names = [one.full for one in used if one.stated is None]
         raise InputError(

@@ -33,7 +33,7 @@ temperature rise at 0.5 mm from the wall of the hole is 4.78, 3.42 and 3.33 K fo
 across the diameter.
 """
 HEAT_CELL = 0.25
-"""Edge of temperature cells divided by the edge of stress cells, within the reach of the bur.
+"""Ratio of the edge of temperature cells in reach of the bur to the edge of stress cells.
 
 By default the temperature cells have an edge of 0.125 mm. The temperature rise of the pulp in the
 molar scene is 0.614, 0.731 and 0.749 K with cells of 0.25, 0.125 and 0.083 mm.

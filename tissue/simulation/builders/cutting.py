@@ -1,4 +1,4 @@
-"""Build the voxels of bone or tooth for a cutter, all before the run or only near the tool."""
+"""Build the voxels of bone or tooth that a cutter removes: all at once, or near the tool."""
 
 from collections.abc import Callable, Iterator
 from math import pi, radians
@@ -47,11 +47,9 @@ SI = {"mm": ("m", 1e-3), "deg": ("rad", radians(1.0))}
 Pose = tuple[Array, Array]
 """Tip [m], shape (3,), and rotation from tool to world, shape (3, 3)."""
 STRIDE_M = 1e-3
-"""Largest distance between two tool poses around which voxels of bone are made [m].
+"""Largest distance between successive tool poses at which boxes of bone are made [m].
 
-The value was chosen by judgement.
-
-Poses are inserted between two given poses that are farther apart.
+Poses are inserted between given poses that are farther apart. The value was chosen by judgement.
 """
 SAME = 1e-9
 """Largest difference between two poses that count as equal [m]."""
@@ -60,7 +58,7 @@ SCATTER = 0.7
 
 A comparison with numerical quadrature gave 0.57. The comparison covers ball cutters of 3 to 8 mm
 diameter in slots of 0.1 to 0.3 mm depth, with tilts of 0 to 60 degrees. The value 0.7 contains a
-margin: if an error of at most 1 % is requested, the measured error is 0.9 %.
+margin: for a requested error of 1 %, the measured error is 0.9 %.
 """
 MARGIN_VOXELS = 4
 """Margin around a tool within which carving and force computation read voxels [voxels]."""
@@ -191,7 +189,7 @@ def _require_chips(scene: Scene, cutter: Cutter) -> None:
 
 
 def _replaced_note(scene: Scene, layers: list[str]) -> dict[str, str]:
-    """Return a note if cutting keys of the scene apply to several layers of different materials."""
+    """Return a note if the scene's cutting keys apply to layers of different materials."""
     given = scene.cutting.model_dump(exclude={"material"}, exclude_none=True)
     cut_as = [CUT_AS.get(layer, scene.cutting.material) for layer in layers]
     if not given or len(set(cut_as)) < 2:
@@ -372,7 +370,7 @@ class VoxelBone:
     def under(
         self, cutter: Cutter, boxes: Boxes, start: Pose, *, shell_spacing_m: float | None = None
     ) -> tuple[BoneModel, bool]:
-        """Return a model of the bone within some boxes, and True if it continues the last cut.
+        """Return a model of the bone in some boxes, and True if the model continues the last cut.
 
         The model of the last cut is used again if the same cutter starts at the pose at which the
         last cut ended.

@@ -36,7 +36,7 @@ FINE_POSES = 3000
 The number for a cutter or a blade is `POSES`. A needle needs more poses, because it breaks through
 a membrane within tenths of a millimetre. With four times as many poses, for needles and for
 cutters, the largest force of the built-in scenes changes by less than 0.2 %. The exception is the
-scene `milling`: its force has a short peak at a corner, and the largest force changes by 21 %.
+scene `milling`. Its force has a short peak at a corner, so the largest force changes by 21 %.
 """
 ACROSS = 8.0
 """Number of voxels across the diameter of a cutter.
@@ -114,9 +114,9 @@ class Series(NamedTuple):
 
     A person notices force changes of at least kappa (F + F0). The low-force term F0 contains the
     friction of the device, because friction also hides forces. The sensitivity is therefore
-    proportional to F / (F + F0) / (1 + c K s). It has its maximum at c K = (F0 / s / (D + F0
-    s))^(1/2). At a smaller scale, the force is hidden by the friction and by the threshold of the
-    person. At a larger scale, the force pushes the hand back.
+    proportional to F / (F + F0) / (1 + c K s). The maximum is at c K = (F0 / s / (D + F0 s))^(1/2).
+    At a smaller scale, the force is hidden by the friction and by the threshold of the person. At a
+    larger scale, the force pushes the hand back.
 
     Attributes
     ----------
@@ -184,10 +184,10 @@ class ForceScale(NamedTuple):
 def chosen_scale(scene: Scene) -> ForceScale:
     """Return the force scale of a scene, or choose a scale if the scene gives none.
 
-    The chosen scale is the one with the largest sensitivity (see `Series`). The scale is limited:
-    the largest force on the scripted motion must be above the friction of the device and well below
-    the force limit of the device. The chosen scale has two digits. The scale is 1 if the scene has
-    no device, or if no force is known before the run.
+    The chosen scale is the one with the largest sensitivity (see `Series`). The scale is limited,
+    so that the largest force on the scripted motion is above the friction of the device and well
+    below the force limit of the device. The chosen scale has two digits. The scale is 1 if the
+    scene has no device, or if no force is known before the run.
 
     Raises
     ------
@@ -221,7 +221,7 @@ def chosen_scale(scene: Scene) -> ForceScale:
 
 
 def scale_for(met: Met, limits: DeviceParameters, series: Series) -> float:
-    """Return the scale with the largest sensitivity, between friction and force limit of a device.
+    """Return the scale with the largest sensitivity, within the bounds `LEAST` and `MOST`.
 
     The scale has two digits. The values in `met` must be forces, slopes and depths at the device
     for a force scale of 1.
@@ -260,7 +260,7 @@ def _file_stamps(scene: Scene) -> list[tuple[str, int, int]]:
 
 @lru_cache(maxsize=64)
 def _met(table: str, _inputs: tuple[object, ...]) -> Met:
-    """Return the force along the scripted motion of a scene, which is given as text."""
+    """Return the force along the scripted motion of a scene; `table` is the scene as JSON text."""
     scene = Scene.read_back(table)
     entry = ANATOMIES[scene.anatomy.kind]
     if entry.build is not None:
@@ -307,10 +307,10 @@ def pressed(scene: Scene) -> Met:
     """Return the force of a probe on a half space, at the depth of the scripted motion.
 
     The force is computed with Hertz's law for a ball, and with Boussinesq's law for the flat end of
-    a cylinder. The modulus is that of the stiffest tissue along the scripted motion; a nodule is
-    ignored. A hyperelastic law of the organ is ignored. With the exponential law of the scene
-    `liver-press`, the simulated force is 1.3 times the returned force. For a probe of another shape
-    the result is 0.
+    a cylinder. The modulus of the stiffest tissue along the scripted motion is used. A nodule and a
+    hyperelastic law of the organ are ignored. With the exponential law of the scene `liver-press`,
+    the simulated force is 1.3 times the returned force. For a probe of another shape the result is
+    0.
     """
     organ = scene.organ
     tool = scene.tool

@@ -51,7 +51,7 @@ All other tools are a `PressingTool`.
 
 
 def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tuple[HandMotion, str]:
-    """Return the motion of a tool that the scene's simulated hand moves with a device, and a note.
+    """Return the motion of a tool that a simulated hand moves through a device, and a note.
 
     The note describes the device, the hand, the renderer, and the chosen stiffness and force scale.
 
@@ -170,9 +170,9 @@ def _aims(
 
 
 def _turn(scripted: Motion) -> Callable[[float], Array]:
-    """Return a function that gives the rotation of a recorded motion since its start.
+    """Return a function from time [s] to the rotation of a recorded motion since its start.
 
-    The function takes a time [s] and returns a unit quaternion.
+    The returned function gives a unit quaternion (x, y, z, w).
     """
     turns = scripted.rotations()
     quaternions = np.array([quaternion_of(turn @ turns[0].T) for turn in turns])

@@ -47,13 +47,13 @@ SHARE = 0.5
 
 The ratio sets the coupling stiffness if the scene gives none. Above the critical stiffness, the
 loop is unstable. Half of the critical stiffness without a hand would be seven to nine times
-smaller. With either of the two stiffnesses, a device that is released on a wall leaves the wall
-within some hundredths of a second; see tests/stability/test_wall_laws.py.
+smaller. With both stiffnesses, a device that is released on a wall leaves the wall within some
+hundredths of a second; see tests/stability/test_wall_laws.py.
 """
 REST_SHARE = 0.3
 """Contact force at which a predictor is linearised, divided by the device's largest force.
 
-The value is well below 0.7, above which forces are compressed to the range of the device.
+The value is well below 0.7, the ratio above which forces are compressed to the range of the device.
 """
 USUAL_N_M = 1000.0
 """Coupling stiffness at which a predictor is linearised, typical of a desktop device [N/m].
@@ -208,7 +208,7 @@ class JudgedLoop:
 
 
 def release_note(settings: LoopSettings, loops: Sequence[JudgedLoop]) -> str:
-    """Return a text about the loops that are stable only with a hand; empty if there are none.
+    """Return a text about the loops that are stable only with a hand, or an empty text.
 
     The text names the mechanisms, other than a hand, that can stop an oscillation of the device.
     """
@@ -290,12 +290,12 @@ def judged_loop(settings: LoopSettings) -> WallLoop:
     """Return the loop, including its total delay, with which a coupling is checked for stability.
 
     For a tool that cuts or only touches bone, or presses a tissue that reports its stiffness, the
-    force responds to a device sample in the same tick. For any other tissue, the model of the tool
-    estimates the stiffness of the tissue from the last motion of the tool. For a tool that slides
-    along the surface, this is the stiffness along the surface. The force balance is then found one
-    tick later. For a guarded predictor, the loop contains the predictor or its fallback, whichever
-    has the lower critical stiffness. The loop also includes the vibration of a cutter's teeth,
-    because the amplitude of the vibration is proportional to the force.
+    force responds to a device sample in the same tick. For any other tissue, the force balance is
+    found one tick later, and the model of the tool estimates the stiffness of the tissue from the
+    last motion. For a tool that slides along the surface, the estimate is the stiffness along the
+    surface. For a guarded predictor, the loop contains the predictor or its fallback: the one with
+    the lower critical stiffness. The loop also includes the vibration of a cutter's teeth, because
+    the amplitude of the vibration is proportional to the force.
 
     A slow device holds each force until its next sample, so its loop is checked at the sample rate
     of the device.
@@ -343,7 +343,7 @@ def lead_ticks(settings: LoopSettings) -> float:
 
 
 def horizon_text(horizon_ms: float, delay_ms: float) -> str:
-    """Return a prediction horizon with its parts: the latency of the coupling, and the rest."""
+    """Return a text with a prediction horizon and its parts: latency of the coupling, and rest."""
     rest_ms = horizon_ms - delay_ms
     return (
         f"{horizon_ms:.3g} ms (coupling.delay_ms = {delay_ms:g}, and {rest_ms:.3g} ms for device, "
@@ -435,8 +435,8 @@ def _chosen(
 ) -> WallLoop:
     """Return the loop with the given stiffness or, if none is given, with a chosen stiffness.
 
-    The chosen stiffness is half of the critical stiffness in a hand without reflex, but at most
-    `limit`.
+    The chosen stiffness is half of the critical stiffness in a hand without reflex, divided by
+    `steepest`, but at most `limit`.
     """
     if given is None:
         critical = critical_stiffness_N_m(in_hands(loop, [hand])[0])

@@ -31,19 +31,18 @@ if TYPE_CHECKING:
 LAW_KEYS = ("name", *chain.from_iterable(LAW_SHAPES.values()))
 """Keys of a hyperelastic law that a caller gives as a mapping."""
 ENVELOPE = 0.1
-"""Largest distance by which an inclusion may overlap an inclusion or extend beyond the organ.
+"""Allowed overlap of two inclusions, or of an inclusion and the space around the organ.
 
-The distance is relative to the edge length.
-
-The mesh generator moves a surface by up to this distance.
+The overlap is a depth, divided by the edge length. The mesh generator moves a surface by up to this
+distance.
 """
 FINE_EDGES = 1.0
-"""Distance from a given point, in edge lengths, within which all edges have the shortest length.
+"""Distance from a given point within which all edges have the shortest length [edge lengths].
 
-The value was chosen by judgement.
+Farther away, the edges are longer. The value was chosen by judgement.
 """
 PLAUSIBLE_ML = (1.0, 10_000.0)
-"""Range of the volume of a plausible organ [ml]. Outside it, a note asks for the unit of the mesh.
+"""Range of plausible volumes of an organ [ml]; outside it, a note asks for the unit.
 
 The values were chosen by judgement.
 """
@@ -291,7 +290,7 @@ def made_of(
 
 
 def size_note(volume_m3: float, scale_mm: float | None) -> dict[str, str]:
-    """Return a note if an organ of unknown unit has an implausible volume."""
+    """Return a note if the volume of an organ is implausible and the unit was not given."""
     volume_ml = 1e6 * volume_m3
     if scale_mm is not None or PLAUSIBLE_ML[0] <= volume_ml <= PLAUSIBLE_ML[1]:
         return {}
@@ -382,7 +381,7 @@ def of_labels(
 
 
 def _require_apart(outer: Surface, inclusions: Mapping[str, Surface], off_m: float) -> None:
-    """Refuse inclusions that overlap, or extend beyond the organ, by more than `off_m` [m]."""
+    """Raise an error if an inclusion overlaps another, or leaves the organ, by over `off_m` [m]."""
     for name, each in inclusions.items():
         key = f"inclusions[{name!r}]"
         out = triangle_distance(outer.vertices_m, outer.faces, each.vertices_m)

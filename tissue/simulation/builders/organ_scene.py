@@ -38,25 +38,23 @@ if TYPE_CHECKING:
     from tissue.models.needle.parameters import NeedleTissue
 
 ASIDE_DEG = 10.0
-"""Angle between a needle and its path in the organ [degrees] that causes a note, by judgement."""
+"""Largest angle between a needle and its path in the organ without a note [degrees]; chosen."""
 POSES_TRIED = 200
-"""Number of poses along a motion at which contact is searched for, chosen by judgement.
+"""Number of poses along a motion at which contact is searched for; chosen.
 
-A margin, `tissue.models.organ.soft_organ.MARGIN_EDGES`, is added around the triangles in contact.
+The margin `tissue.models.organ.soft_organ.MARGIN_EDGES` is added around the triangles in contact.
 """
 KEPT = 0.01
-"""Largest distance of an omitted corner of a path from the simplified path [edge lengths].
+"""Largest distance of a path's corners from the simplified path [edge lengths].
 
-Corners are omitted because a recorded path has one corner per tick.
+A path is simplified because a recorded path has one corner per tick.
 """
 HAND_M = 0.01
 """Largest distance of a needle from its planned track at which fields are drawn [m].
 
 The distance is measured at the entry point of the needle. If a hand inserts the needle farther
 away, the drawn tissue is undeformed. Otherwise, displacement and stress are drawn as if the needle
-were on the planned track.
-
-The value is an eighth of the size of the drawn block of tissue.
+were on the planned track. The value is an eighth of the width of the drawn block.
 """
 
 
@@ -204,7 +202,7 @@ def pressed(
 def _area_note(
     corners_m: Array, tips_m: Array, radius_m: float, *, edge_m: float, order: int
 ) -> dict[str, str]:
-    """Return a note if edges under a ball are too long for the area of its contact.
+    """Return a note if edges under a ball are too long for an accurate contact area.
 
     `corners_m` contains the corners of the touchable triangles [m], shape (n, 3, 3).
     `edge_m` is the edge length for which the mesh was made [m].
@@ -297,7 +295,7 @@ def _needle_note(scene: Scene, tissue: "NeedleTissue") -> str:
 
 
 def _axis_note(motion: PathMotion, track: "Track") -> dict[str, str]:
-    """Return a note if the path leads into the organ in another direction than the needle."""
+    """Return a note if the path into the organ and the needle have different directions."""
     inward_m = -float(track.arm_m @ track.outward)
     aside_m = float(np.linalg.norm(track.arm_m + inward_m * track.outward))
     angle_deg = float(np.degrees(np.arctan2(aside_m, inward_m)))

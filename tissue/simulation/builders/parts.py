@@ -39,18 +39,19 @@ RECORDED = "recorded"
 Corners = tuple[Array, Array]
 """Lowest and highest corner of a box [m]."""
 POSES_TRIED = 300
-"""Number of poses along a motion at which contact is searched for, chosen by judgement."""
+"""Number of poses along a motion at which contact is searched for; chosen."""
 FAR_M = 0.1
 """Distance between path and bone [m] above which a run contains a note.
 
-A robot may approach the bone from this distance. The limit is at least the size of the simulated
-bone, so larger bones have a larger limit. The value was chosen by judgement.
+A robot may approach the bone from this distance. For a simulated bone that is larger than this
+value, the size of the bone is used instead. The value was chosen by judgement.
 """
 MUCH_MORE = 2.0
-"""Ratio of two shares of the tool's surface inside the bone at the start.
+"""Ratio above which a run suggests another order of the quaternions in a recorded motion.
 
-The ratio is that of quaternions read as (x, y, z, w) over quaternions read as (w, x, y, z). Above
-this ratio, a run suggests the second order. The value was chosen by judgement.
+The share of the tool's surface inside the bone at the start is computed for the orders (x, y, z, w)
+and (w, x, y, z). The ratio is the first share divided by the second share. The value was chosen by
+judgement.
 """
 
 
@@ -250,7 +251,7 @@ def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
 def far_note(volume: VoxelVolume, points_mm: Sequence[Sequence[float]]) -> str | None:
     """Return a note on the corner of a path that is farthest from the bone, or None.
 
-    None means that the path stays near the bone in the simulated region. See `FAR_M`.
+    The result is None if all corners are near the simulated bone, see `FAR_M`.
     """
     low, high = volume.bone_bounds_m
     points = 1e-3 * np.array(points_mm)
@@ -309,9 +310,8 @@ def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
 def _on_one_side(points: Array, region: Corners) -> bool:
     """Return True if a region (box) lies completely on one side of a cap.
 
-    A cap is a plane where a scan cuts off bone; `points` are points of this plane.
-
-    The bounding box of the cap is not used, because it is too wide for an oblique cut.
+    A cap is a plane where a scan cuts off bone; `points` are points of this plane. A test with the
+    bounding box of the cap would be too coarse for an oblique cap.
     """
     normal = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2][-1]
     corners = np.array(np.meshgrid(*np.array(region).T)).reshape(3, -1).T
@@ -324,8 +324,8 @@ def w_first_notice(volume: VoxelVolume, cutter: Cutter, motion: Motion, file: st
     """Return a sentence if the start pose suggests that w is the first quaternion column.
 
     The result is None otherwise. The sentence is returned if the tool starts inside the bone, but
-    would hardly overlap the bone if w were the first column. A quaternion has unit length in both
-    orders, so the order can only be recognised from the position of the tool.
+    the overlap is much smaller with w as the first column, see `MUCH_MORE`. A quaternion has unit
+    length in both orders, so the order can only be recognised from the position of the tool.
 
     Parameters
     ----------

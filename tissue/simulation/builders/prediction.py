@@ -38,9 +38,9 @@ ADAPTIVE = "koopman-online"
 If the scene has no trained operator, the predictor starts from a general operator.
 """
 CAUTION = 0.1
-"""Quantile of the thresholds for force changes, over people, that limits the deadband.
+"""Quantile of a population's thresholds for force changes that is used for the deadband.
 
-Nine in ten people have a threshold above the limit.
+Nine in ten people have a larger threshold.
 """
 
 
@@ -153,9 +153,9 @@ def perception(
     tick_s
         Time between two steps [s].
     friction_N
-        Coulomb friction of the device [N]. The deadband is limited to this value, so friction
-        always dissipates the energy that a held force supplies. With infinity, only the threshold
-        limits the deadband.
+        Coulomb friction of the device [N]. The deadband is limited to this value, so that friction
+        always dissipates the energy that a held (not updated) force supplies. With infinity, only
+        the threshold limits the deadband.
 
     Raises
     ------

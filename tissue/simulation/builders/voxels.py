@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from meshes.surfaces.surface import Surface
 
 DENSE_BYTES_PER_VOXEL = 18
-"""Peak memory per voxel of the simulated region [bytes], measured for the scene of the glenoid.
+"""Peak memory per voxel of the simulated region [bytes], measured in the scene `glenoid`.
 
 The peak occurs while bricks (blocks of voxels) are made and results are written.
 """
@@ -217,7 +217,7 @@ def _covered(region: Corners, bone: Corners, spacing: float) -> Corners:
     """Return a box of whole bricks (blocks of voxels) around the bone within a region [m].
 
     The box includes some air next to the bone. The bricks belong to a fixed lattice, so a voxel has
-    the same position in every region. Where a tool only grazes voxels, results in single ticks can
+    the same position in every region. Where a tool only grazes voxels, results in a few ticks can
     still depend on the region, because float32 coordinates are relative to the origin of the
     region.
     """
@@ -415,7 +415,7 @@ def _read_tooth(
 ) -> label_volume.LabelledTooth:
     """Read the tooth of a label volume, and keep the result for the next call.
 
-    The result is kept in memory, because the tool and the stress model need the same tooth.
+    The tool and the stress model need the same tooth.
     """
     from meshes.ct.labels import header_names
     from meshes.images.reading import read_image

@@ -1,7 +1,7 @@
 """Publication of a live run for ROS 2 and for 3D Slicer, each in a separate process.
 
-The process begins and ends with the run. The thread that runs the ticks checks that the process
-still exists.
+Each process begins and ends with the run. The thread that runs the ticks checks that the processes
+still exist.
 """
 
 import socket
@@ -32,8 +32,8 @@ EVENTS = 64
 EVENT_BYTES = 256
 """Largest size of the text of an event [bytes]; `EVENTS` is the number of stored events.
 
-Events are stored until the other process has sent them. They are in memory that two processes
-share, so their size is fixed. A run reports few events per second.
+Events are stored until the other process has sent them. The memory for events is shared by two
+processes, so its size is fixed. A run reports few events per second.
 """
 
 
@@ -67,7 +67,7 @@ class Publisher(RunObserver):
     """
 
     what = "publishing for ROS 2"
-    """Description of the process in the event that reports its unexpected end."""
+    """Description of this process for the event that reports an unexpected end."""
     ends_run = False
     """True if the end of the process also ends the run."""
 
@@ -150,8 +150,8 @@ def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
     Raises
     ------
     InputError
-        If the port does not exist or another program uses the port. The error is also raised if a
-        client is to move the tool, but a page or a real device also moves it.
+        If the port does not exist or another program uses the port. The error is also raised if
+        both a client and a page or real device would move the tool.
     """
     mover = "--web" if web else scene.held.kind if opens_device(scene) else None
     if link.drives and mover is not None:
@@ -255,8 +255,8 @@ class SlicerPublisher(Publisher):
     link
         Port, and whether a client drives the tool.
     mouse
-        Device that the transform of a client moves; None if no client moves the tool. If a client
-        moves the tool, the run ends when the process that publishes ends.
+        Device that the transform of a client moves; None if no client moves the tool. With a
+        device, the run ends when the publishing process ends.
     """
 
     what = "the link to 3D Slicer"

@@ -155,12 +155,12 @@ def live(scene: Scene, how: LiveSettings | None = None, **settings: Unpack[RunSe
 
     If the scene names a real device, this device is used and no window opens. Otherwise the mouse
     replaces the device of the scene. The spring of the coupling then connects the tool to the
-    mouse. Trace and window show the forces that the replaced device would apply to the hand. In a
-    scene without a device, the mouse replaces a device of kind ``touch``. A tick misses its
-    deadline if it is not complete 1 ms after it was due. See `WallClock` for late ticks. The
-    priority of the ticks is raised as far as the system allows. The note ``priority`` of the run
-    reports the priority. Ctrl-C or closing the window ends the run. The function returns the run,
-    like `tissue.simulate`.
+    mouse. Trace and window show the forces that the replaced device would apply to the hand. A
+    scene without a device is treated like a scene with a device of kind ``touch``. A tick misses
+    its deadline if it is not complete 1 ms after it was due. See `WallClock` for late ticks. The
+    priority of the ticks is raised as far as the system allows, and reported in the note
+    ``priority`` of the run. Ctrl-C or closing the window ends the run. The function returns the
+    run, like `tissue.simulate`.
 
     Parameters
     ----------
@@ -307,7 +307,7 @@ class LiveObserver(Paced):
     def _waited_s(self, window: WindowProcess, goes_on: Callable[[float], bool]) -> float:
         """Wait while a condition is true, and return the waiting time [s].
 
-        The argument of the condition is the time waited so far.
+        ``goes_on`` is the condition, as a function of the time waited so far [s].
         """
         began = perf_counter()
         waited_s = 0.0
@@ -331,7 +331,7 @@ class LiveObserver(Paced):
     def _hold(self, window: WindowProcess, index: int) -> None:
         """Wait while the window does not respond.
 
-        The reason is that the user can then neither see nor move the tool.
+        Without a window, the user can neither see nor move the tool.
         """
         now = perf_counter()
         if window.frames != self._frames:

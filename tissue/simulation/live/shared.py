@@ -55,9 +55,7 @@ FADES_MM = 20.0
 """Distance over which the displacement of a drawn organ decreases by a factor of e [mm].
 
 The displacement is known only at some nodes of the surface. Elsewhere, the drawn displacement
-decreases with the distance from these nodes.
-
-The value was chosen for the appearance of the picture. No force depends on it.
+decreases with the distance from these nodes. No force depends on this value.
 """
 
 
@@ -66,8 +64,8 @@ class SharedArrays:
 
     Access to the arrays needs no system call.
 
-    The methods `write` and `read` are for arrays that must not be read during a write: `read` tries
-    again while a write is in progress. Only one of the processes may write an array.
+    `write` and `read` protect an array from being read during a write: `read` tries again while a
+    write is in progress. Only one of the processes may write an array.
 
     Parameters
     ----------
@@ -123,7 +121,7 @@ class SharedArrays:
 class SharedTissue:
     """Shared arrays of a tissue.
 
-    If the scene and the trace are enough to draw a tissue, such as a wall, it has no shared arrays.
+    A tissue that can be drawn from scene and trace alone, such as a wall, has no shared arrays.
 
     Attributes
     ----------
@@ -250,7 +248,7 @@ def tissue_surface(start: Start, arrays: SharedArrays) -> "BoneSurface | OrganSu
 class BoneSurface:
     """Surface of a bone, computed from blocks of voxels in the bricks that the ticks copy.
 
-    A brick is a block of 8 x 8 x 8 voxels.
+    A brick is 8 x 8 x 8 voxels.
 
     Parameters
     ----------
@@ -262,7 +260,7 @@ class BoneSurface:
     surface
         Surface [mm], with normals. It has no cells if no bone is left.
     volume
-        Volume of blocks, each of several voxels, whose content follows the bone of the run.
+        Volume of blocks of several voxels. `update` copies the bone of the run into the blocks.
     """
 
     def __init__(self, start: Start, arrays: SharedArrays) -> None:
@@ -311,8 +309,8 @@ class BoneSurface:
 class OrganSurface:
     """Surface of a soft organ, with its displacement.
 
-    Where the displacement is not known, the shown displacement decreases with the distance from the
-    nodes whose displacement is known.
+    At nodes without a known displacement, the shown displacement decreases with the distance from
+    the nodes with a known displacement.
 
     Parameters
     ----------
@@ -365,7 +363,7 @@ class OrganSurface:
     def _spread(self, known: Flags) -> None:
         """Find, for each point of the surface, the nearest point with a known displacement.
 
-        Also compute the share of that displacement with which the point is drawn.
+        Also compute the share of this displacement that is drawn at the point.
         """
         from scipy.spatial import cKDTree
 

@@ -38,7 +38,7 @@ CLOCK = ("tick_us", "late_us", "missed", "skipped_ms")
 LOAD = ("time_s", *components("model_force", "N"))
 """Columns of the trace that a window plots over time."""
 ROW_TICKS = 8
-"""Ticks between two rows that a window receives, so that each picture has about four new rows."""
+"""Ticks between two rows that a window receives; each picture then has about four new rows."""
 LOADS = 1024
 """Number of rows of time and force that are kept for the plots of a window (8 s)."""
 COLOURS = re.compile(r"\x1b\[[0-9;]*m")
@@ -240,8 +240,8 @@ class WindowProcess:
     def steer(self, mouse: MouseDevice) -> None:
         """Move a mouse device so that the tool moves to the pose that the process requests.
 
-        The tool moves as far as the mouse, multiplied by the motion scale of the scene. Without a
-        new request, the mouse stays at its place.
+        The tool moves by the motion of the mouse times the motion scale of the scene. Without a new
+        request, the mouse stays at its place.
         """
         is_new = self._count(f"{self.request}_turn") != self._seen
         if not is_new or (message := self.arrays.read(self.request)) is None:

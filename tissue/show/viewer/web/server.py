@@ -33,7 +33,7 @@ NUMBERS = {
 """Ranges of the numbers in messages, keyed by message and entry."""
 WORDS = ("key", "field", "layer")
 SWITCHES = ("pause", "play", "cut")
-"""Messages whose only entry is the bool ``on``; in `WORDS`, the only entry is the text ``name``."""
+"""Messages whose only entry is the bool ``on``; messages in `WORDS` have only the text ``name``."""
 ALONE = ("reset", "end", "seen")
 """Messages without entries."""
 
@@ -84,8 +84,8 @@ LEFT_S = 8.0
 SENDS_S = 5.0
 """Time for which a page may accept no data before its connection is closed [s].
 
-The limit is needed because the loop waits for the page, so a page that does not respond would stop
-the session.
+The server waits for the page after each frame. Without this limit, a page that does not respond
+would stop the session.
 """
 CLOSES_S = 2.0
 """Time limit for closing a page from the server [s]."""
