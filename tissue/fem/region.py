@@ -43,10 +43,11 @@ SEED = 0
 
 
 class RegionBody:
-    """Body with a hyperelastic region whose other cells are linear.
+    """Body with a hyperelastic region and linear cells outside this region.
 
-    The unknowns are the displacements of the inner nodes, and the amplitudes of the border modes.
-    Three amplitudes are stored in one row, like the displacement of a node.
+    The unknowns are the displacements of the region's inner nodes, and the amplitudes of the modes
+    in which the region's border moves. Three amplitudes are stored in one row, like the
+    displacement of a node.
 
     Parameters
     ----------
