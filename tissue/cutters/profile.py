@@ -63,7 +63,7 @@ class Line:
         )
 
     def seen_from(self, points: Array) -> tuple[Array, Array]:
-        """Return distances [m] of points from this piece, and curvatures [1/m], shape (n,) each.
+        """Return distances from this piece [m] and offset-curve curvatures [1/m], shape (n,) each.
 
         ``points`` contains (radius, height) [m], shape (n, 2).
 
@@ -121,7 +121,7 @@ class Arc:
         return np.asarray(self.centre) + self.radius * normal, normal
 
     def seen_from(self, points: Array) -> tuple[Array, Array]:
-        """Return distances [m] of points from this arc, and curvatures [1/m], shape (n,) each.
+        """Return distances from this arc [m] and offset-curve curvatures [1/m], shape (n,) each.
 
         ``points`` contains (radius, height) [m], shape (n, 2).
 

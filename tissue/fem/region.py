@@ -58,10 +58,10 @@ class RegionBody:
     cells
         Indices of the cells of the region.
     loaded
-        Two sets of nodes of the body near a contact, each of shape (l,): nodes on which forces may
-        act, and nodes where the law may differ from the linear law. The modes are computed from
-        random loads, which are divided equally among the sets. Nodes on the border get no load,
-        because such loads would need many modes.
+        Sets of body nodes near a contact, each of shape (l,). One set holds the nodes on which
+        forces may act. Another set holds the nodes where the law may differ from the linear law.
+        The modes are computed from random loads, which are divided equally among the sets. Nodes on
+        the border get no load, because such loads would need many modes.
     law, cell_factors
         Hyperelastic law, and the factor on its moduli in each cell of the body, shape (m,).
     membrane

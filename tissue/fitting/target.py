@@ -327,7 +327,7 @@ class Target:
     def climbed(self, u: Array, *, held: int | None = None) -> tuple[float, Array]:
         """Find the most probable constants, offset and biases near `u` for fixed noise.
 
-        Return the log density and the values found, shape (size,). The number with the index `held`
+        Return the log density and the values found, shape (size,). The entry with the index `held`
         keeps its value.
         """
         free = np.array([at for at in range(self.places) if at != held])

@@ -52,7 +52,7 @@ class SpeedSearch:
     At each pose, the force law is replaced by its tangent as a function of the speed. The tangent
     is computed at the tried speed. The sign of S(v) - v is therefore the same as for the exact
     force law. If the balanced speed at the end is not close to the tried speed, new tangents are
-    computed at the last pose until the tangent's speed and the balanced speed agree.
+    computed at the last pose until their speed and the balanced speed agree.
 
     Attributes
     ----------

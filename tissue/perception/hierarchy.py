@@ -128,7 +128,7 @@ class PopulationFit:
     def interval(self, name: str) -> tuple[float, float, float]:
         """Return the lower end, median and upper end of a parameter's central 95 % interval.
 
-        The parameter is a parameter of the population, see `HYPER`.
+        The parameter belongs to the population, see `HYPER`.
         """
         low, middle, high = np.quantile(self.draws[name], [0.025, 0.5, 0.975]).tolist()
         return low, middle, high

@@ -212,8 +212,9 @@ class Weber:
 def weber_of(observer: Observer, *, quantile: float = 0.5) -> Weber:
     """Return Weber's law for an observer's force threshold [N].
 
-    The Weber fraction of the law is a quantile of the observer's posterior. With 0.1, for example,
-    the person's true threshold exceeds the returned threshold with a probability of 90 %.
+    The Weber fraction of the law is the quantile of the observer's posterior at `quantile`. With
+    0.1, for example, the person's true threshold exceeds the returned threshold with a probability
+    of 90 %.
     """
     spread = float(np.sqrt(max(observer.covariance[2, 2], 0.0)))
     return Weber(
@@ -291,7 +292,7 @@ class ForceMap:
     lowest_N
         Positive force below which the map is a straight line [N].
     knee_N
-        Force, above `lowest_N`, up to which the device plays commands uncompressed [N].
+        Largest command that the device plays uncompressed [N]; larger than `lowest_N`.
 
     Attributes
     ----------

@@ -97,11 +97,11 @@ class LookAhead:
     The forces of coupling and tissue are linearised about the last tick.
 
     Let k be the coupling's stiffness, p the tip of the tool, f the force of the tissue on the tool,
-    and K = -df/dp the slope of f. If the device is at x, the tool moves to the point p' where k (x
-    - p') + f - K (p' - p) = 0. The force on the device is then k (p' - x). A tissue force that
-      would pull the tool is replaced by zero. For a free tool, the tissue may provide the distance
-      to its surface and the stiffness of the surface. These values give the force after contact. If
-      the tissue provides no slope, the slope is estimated (`ContactSlope`).
+    and K = -df/dp the slope of f. If the device is at x, the tool moves to the point p' where the
+    forces balance: k (x - p') + f - K (p' - p) = 0. The force on the device is then k (p' - x). A
+    tissue force that would pull the tool is replaced by zero. For a free tool, the tissue may
+    provide the distance to its surface and the stiffness of the surface. These values give the
+    force after contact. If the tissue provides no slope, the slope is estimated (`ContactSlope`).
 
     For a cutting tool, the predicted force is the coupling's predicted stretch times the coupling's
     stiffness. Using the law of the cutting force does not improve this prediction; see
