@@ -65,7 +65,7 @@ class Grid:
         )
 
     def slab(self, start: int, stop: int) -> Grid:
-        """Return the part of the grid from the x index `start` up to, but not including, `stop`.
+        """Return the part of the grid with x indices from `start` to `stop` - 1.
 
         `start` and `stop` are counted from the grid's first voxel.
         """

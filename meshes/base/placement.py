@@ -30,7 +30,8 @@ class Placement:
     origin_mm
         Origin of the scene [mm], shape (3,), in the file's frame.
     rotation
-        Axes of the scene as columns in the file's frame, shape (3, 3). The axes are right-handed.
+        Matrix, shape (3, 3), whose columns are the scene's axes in the file's frame. The axes are
+        right-handed.
     unit_mm
         Length unit of the file [mm].
     """

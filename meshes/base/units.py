@@ -76,12 +76,12 @@ def unit_of(header: str, quantity: str) -> str:
 
 
 def name_of(header: str, quantity: str) -> str:
-    """Return the name in a header without unit, in lower case: "Tool X [mm]" becomes "tool_x"."""
+    """Return a header's name in lower case without the unit: "tool_x" for "Tool X [mm]"."""
     return re.sub(r"[^a-z0-9]+", "_", _parts(header, quantity)[0].lower()).strip("_")
 
 
 def column_of(wanted: str, quantity: str, headers: Sequence[str]) -> str | None:
-    """Return the header of a wanted column in any unit, for example "tool_x [um]" for "tool_x_mm".
+    """Return the header that equals `wanted` apart from the unit, for example "tool_x [um]".
 
     Returns
     -------

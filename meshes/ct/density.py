@@ -162,12 +162,13 @@ Dragomir-Daescu 2011) to 1.22 (Les 1994, table 1 of Knowles 2016). For HA, the s
 
 
 def line_law(slope: float, offset: float, equivalent: str = "apparent") -> DensityLaw:
-    """Return the density law for a linear relation of Hounsfield units and a phantom's density.
+    """Return the density law for a phantom density that is linear in Hounsfield units.
 
     Parameters
     ----------
     slope, offset
-        Density per Hounsfield unit, and density at 0 Hounsfield units [kg/m3, equal to mg/cm3].
+        Density per Hounsfield unit [kg/m3], and density at 0 Hounsfield units [kg/m3]. 1 kg/m3 is
+        equal to 1 mg/cm3.
     equivalent
         Substance to which the density refers: ``K2HPO4`` or ``HA`` in water, ``ash``, or
         ``apparent``.
