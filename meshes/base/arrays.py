@@ -49,7 +49,7 @@ def compact(points: Array, cells: Ints) -> tuple[Array, Ints]:
 
 
 def directed_edges(triangles: Ints) -> Ints:
-    """Return the start and end point index, shape (3 m, 2), of each edge of m triangles.
+    """Return the indices of the start and end points, shape (3 m, 2), of the edges of m triangles.
 
     The result contains the first edges of all triangles, then the second edges, then the third
     edges.

@@ -112,7 +112,7 @@ def require_positive(name: str, value: float, remedy: str) -> float:
     Parameters
     ----------
     name
-        Name of the caller's argument, which includes the unit.
+        Name of the caller's argument. The name includes the unit.
     value
         Number to check, in the unit that `name` contains.
     remedy

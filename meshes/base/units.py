@@ -71,7 +71,7 @@ def _parts(header: str, quantity: str) -> tuple[str, str]:
 
 
 def unit_of(header: str, quantity: str) -> str:
-    """Return the unit in a header, or an empty string if the header has no unit of the quantity."""
+    """Return the unit of `quantity` in a header, or an empty string if there is none."""
     return _parts(header, quantity)[1]
 
 

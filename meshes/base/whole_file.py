@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Owner(Protocol):
-    """Folder whose `claim` method is called before a file in the folder is written."""
+    """Owner of a folder, whose `claim` method is called before a file in the folder is written."""
 
     def depth(self, path: Path) -> int:
         """Return the number of components of the folder's path.

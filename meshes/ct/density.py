@@ -37,8 +37,8 @@ class DensityLaw:
         Variance of the slope, covariance of slope and offset, and variance of the offset
         [(kg/m3)^2].
     relative_sd
-        Relative standard deviation of a factor that applies to the whole density, such as the ratio
-        of ash to apparent density.
+        Relative standard deviation of a factor that multiplies all densities, such as the ratio of
+        ash density to apparent density.
     """
 
     slope_kg_m3: float

@@ -254,9 +254,9 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
 
     The result has the shape (nx, ny, nz).
 
-    For each voxel, the direction to the boundary is computed from the surrounding voxels of other
-    layers. Along this direction, the boundary is searched in steps of half a voxel, then by
-    bisection.
+    For each voxel, the direction to the boundary is computed from the surrounding voxels that
+    belong to a different layer. Along this direction, the function searches for the boundary in
+    steps of half a voxel and then refines it by bisection.
 
     Parameters
     ----------
@@ -285,13 +285,14 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
 
 
 def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
-    """Compute the stored distance to the nearest layer boundary from the layer of each voxel.
+    """Convert the layer of each voxel to the stored distance to the nearest layer boundary.
 
-    The mask of each layer is smoothed. The smoothed value (share) at a voxel is converted to the
-    distance of the plane that would give this value. The distances are corrected such that each
-    voxel's centre stays in the voxel's layer. Boundaries are therefore shifted by at most half a
-    voxel. If most neighbours of a voxel are in other layers, the voxel's distance is increased to
-    up to half a voxel. A layer with a thickness of one voxel therefore does not vanish.
+    The mask of each layer is smoothed. The smoothed value (share) at a voxel is converted to a
+    distance. At this distance from a plane boundary, the share has the same value. The distances
+    are corrected such that each voxel's centre stays in the voxel's layer. Boundaries are therefore
+    shifted by at most half a voxel. If most neighbours of a voxel are in other layers, the voxel's
+    distance is increased to a value of up to half a voxel. A layer with a thickness of one voxel
+    therefore does not vanish.
     """
     from scipy.ndimage import uniform_filter
 
