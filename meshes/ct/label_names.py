@@ -80,7 +80,7 @@ def label_sets() -> dict[str, dict[int, str]]:
 
 
 def given_names(names: str | Path) -> Mapping[int, str]:
-    """Return a dictionary from label number to name for a program, or read it from a TOML file.
+    """Return a dictionary from label number to name, for a known program or from a TOML file.
 
     Raises
     ------

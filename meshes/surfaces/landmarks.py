@@ -93,8 +93,8 @@ def find_site(kind: str, surface: Surface) -> FoundSite:
         superior. ``femoral-head``: point at which the axis of the neck leaves the bone.
         ``humeral-head``: point at which the axis of the articular cap leaves the bone.
         ``vertebra:left``, ``vertebra:right``: posterior point at which the axis of the left or
-        right pedicle leaves the bone, z outward along the axis, y up. ``vertebra``: the
-        corresponding point of the wider pedicle.
+        right pedicle leaves the bone. z points outward along this axis, and y points up.
+        ``vertebra``: the corresponding point of the wider pedicle.
     surface
         Surface of a single bone.
 

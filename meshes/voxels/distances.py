@@ -141,8 +141,8 @@ def surface_of_fractions(fraction: Bytes) -> Bytes:
     distances between its centre and the planes of nearby voxels. The space outside the array counts
     as empty. On a ball, the mean is smaller than the true distance, but interpolation between voxel
     centres increases the distance. Each of these two biases [voxel] is a twelfth of the sum of the
-    principal curvatures [1/voxel]. The two biases therefore cancel partly: a quarter of one bias
-    remains after interpolation.
+    principal curvatures [1/voxel]. After interpolation, the remaining bias is a quarter of one of
+    these biases.
     """
     from scipy.ndimage import binary_dilation, maximum_filter
 

@@ -67,8 +67,8 @@ class Combination:
         before the fit.
     of
         Function that returns the exact value of the combination. The weighted sum is an
-        approximation of this value. Its argument holds all constants in their own units, shape
-        (p,). Only the constants in `weights` change the value.
+        approximation of this value. The argument of the function holds all constants in their own
+        units, shape (p,). Only the constants in `weights` change the value.
     """
 
     weights: dict[str, float]
