@@ -53,7 +53,7 @@ _LEAST_KEPT = 0.2
 def tetrahedralise(
     surface: Surface, *, edge_m: float | None = None, report: Progress = silent
 ) -> tuple[TetMesh, tuple[str, ...]]:
-    """Fill a closed surface with tetrahedra, or return the mesh of this surface from the cache.
+    """Fill a closed surface with tetrahedra, or read this mesh from the cache if it is there.
 
     Parameters
     ----------
@@ -62,8 +62,7 @@ def tetrahedralise(
     edge_m
         Target edge [m]. If None, an edge that gives about 30,000 tetrahedra is chosen.
     report
-        Function that is called with the name and the finished fraction (0 to 1) of the current
-        task.
+        Function that is called with the current task's name and finished fraction (0 to 1).
 
     Returns
     -------
@@ -144,8 +143,8 @@ def with_volume(mesh: TetMesh, volume_m3: float, *, within_m: float) -> TetMesh:
     Parameters
     ----------
     mesh
-        Mesh of a body. Because the facets of the mesh are flat, the mesh has a slightly different
-        volume than the body.
+        Mesh of a body. The volumes of mesh and body differ slightly, because the facets of the mesh
+        are flat.
     volume_m3
         Required volume of the mesh [m3].
     within_m

@@ -69,7 +69,7 @@ class MeasuredLog:
     times_s
         Increasing times of the poses [s], shape (n,).
     tips_m
-        Tips of the tool in the scene's frame [m], shape (n, 3).
+        Positions of the tool's tip in the scene's frame [m], shape (n, 3).
     quaternions
         Orientations (x, y, z, w), shape (n, 4). None if the log has no orientations.
     load_times_s
@@ -80,7 +80,7 @@ class MeasuredLog:
     channels
         Names of the channels, such as ``force_x_N``.
     notes
-        Findings and assumptions, in sentences.
+        Sentences on findings and assumptions.
     """
 
     path: Path
@@ -113,26 +113,26 @@ class MeasuredLog:
 def log_of(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> MeasuredLog:
     """Return a log of a tool's poses and loads, read from the columns of a file.
 
-    For a run's own trace, `columns` is not needed. If a trace holds ``model_force`` (the force of
-    the tissue) and the force commanded to a device, ``model_force`` is used.
+    `columns` is not needed if the file is the trace of a run. If a trace holds ``model_force`` (the
+    force of the tissue) and the force commanded to a device, ``model_force`` is used.
 
     Parameters
     ----------
     path
-        The file, for messages.
+        Path of the file, used in messages.
     found
         Columns of the file.
     columns
-        ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT`` for quantities whose column
-        has another name. A minus reverses the sign. If UNIT is not given, the unit is taken from
-        the header of the column, or else from NAME. ``NAME=NUMBER`` gives a constant, and
-        ``time_s=RATE:Hz`` gives a rate in place of times.
+        ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT`` for each quantity NAME whose
+        column has a different name. A minus reverses the sign. If UNIT is not given, the unit is
+        taken from the header of the column, or else from NAME. ``NAME=NUMBER`` gives a constant,
+        and ``time_s=RATE:Hz`` gives a rate in place of times.
 
     Raises
     ------
     InputError
-        If a column is missing or holds impossible values, times do not increase, or the log is too
-        short.
+        If a column is missing or holds impossible values, if times do not increase, or if the log
+        is too short.
     """
     asked = parsed(columns, tuple(QUANTITIES))
     notes = list(found.notes)
@@ -323,7 +323,7 @@ SPEED_S = 0.1
 
 
 def without_saturation(loads: Array, channels: Sequence[str], notes: list[str]) -> Array:
-    """Return loads, shape (m, channels), in which NaN replaces saturated values; add notes.
+    """Return the loads with NaN in place of saturated values, and add sentences to `notes`.
 
     Parameters
     ----------
@@ -367,7 +367,7 @@ def _saturated(values: Array) -> list[float]:
 
 
 def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]:
-    """Return sentences on poses that are too slow for the loads, and on noise in the poses.
+    """Return sentences on noise in the poses, and on poses sampled too slowly for the loads.
 
     Parameters
     ----------

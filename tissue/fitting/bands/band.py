@@ -100,10 +100,10 @@ class Band:
         Summary values of each sample, shape (samples, figures). A value that a sample does not have
         is NaN, for example the time of an event that does not happen.
     numbers
-        Index of each sample in `files`, shape (samples,).
+        Index into `files` of each sample that did not fail, shape (samples,).
     files
-        Text of the materials file of each sample, including failed samples. Empty if the band was
-        read from a folder.
+        Text of the materials file of each sample. Failed samples are included. Empty if the band
+        was read from a folder.
     summary
         Content of ``summary.json`` under the key ``band``.
     """
@@ -142,7 +142,7 @@ def require_band(
     InputError
         If the number of samples is not between 16 and 65536, or an option has no effect. `workers`
         has no effect if `scheduler` is given, or if the loads of all samples follow from one run.
-        `each_run` has no effect for a scene that always needs a run of each sample.
+        `each_run` has no effect for a scene whose samples must always be run separately.
     """
     rounded(asked)
     if workers is not None:
@@ -199,8 +199,8 @@ def band_of(
     Raises
     ------
     InputError
-        For the reasons that `require_band` lists, if no constant has a range, or if more than a
-        tenth of the samples fail.
+        If `require_band` raises an error, no constant has a range, or more than a tenth of the
+        samples fail.
     """
     require_band(scene, asked, workers, scheduler, each_run=each_run)
     seed = scene.seed if seed is None else seed
@@ -349,7 +349,7 @@ def _rerun(
 
 
 def require_same(band: Band, loads: Array) -> None:
-    """Check that the loads of a run equal the loads of the band at the nominal constants.
+    """Check that the loads of a run equal the band's nominal loads.
 
     Parameters
     ----------
@@ -359,7 +359,8 @@ def require_same(band: Band, loads: Array) -> None:
     Raises
     ------
     InputError
-        If the run has fewer ticks than the band, or the loads differ by more than `SAME`.
+        If the run has fewer ticks than the band, or a load differs by more than the relative
+        tolerance `SAME`.
     """
     count = len(band.times_s)
     if len(loads) >= count:
@@ -386,7 +387,7 @@ The separator is not a dot, because the name of a layer or the text of an event 
 
 
 def save_band(band: Band, folder: Path, *, kind: str | None) -> None:
-    """Write a band into the folder of its run and replace an earlier band.
+    """Write a band into the folder of its run. An earlier band in the folder is replaced.
 
     `kind` is the format of the pictures. If it is None, no pictures are drawn.
 
