@@ -280,7 +280,9 @@ class PathMotion(Motion):
     points_mm: Annotated[tuple[Vector, ...], Strict(False)] = Field(
         min_length=2, examples=[((0.0, 0.0, 0.5), (0.0, 0.0, -2.0))]
     )
-    """Corners of the tip's path, in the frame of the scene."""
+    """Corners of the tip's path, in the frame of the scene. Consecutive corners must differ. To hold
+    the tool still, use a recorded motion with times (`motion.kind = "replay"`).
+    """
     feed_mm_s: float = Field(gt=0, le=1000, examples=[1.0])
     """Speed of the tip."""
 

@@ -15,7 +15,7 @@ from tissue.motion.motion import Motion
 from tissue.motion.posed import PosedTool, pose_in
 from tissue.scene.scene import Output, Scene, without_fields
 from tissue.simulation import loop as engine
-from tissue.simulation.builders.parts import Parts, motion_of
+from tissue.simulation.builders.parts import Parts, motion_of, require_no_pause
 from tissue.simulation.simulate import builder_of
 
 ACROSS = 5
@@ -149,6 +149,7 @@ def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Par
     """
     left_out = {"device": None, "stress": None, "heat": False, "fidelity": None}
     scene = without_fields(scene.model_copy(update=left_out))
+    require_no_pause(scene)
     motion = _Widened(motion_of(scene), reach_m)
     parts = builder_of(scene.anatomy.kind)(
         scene, motion, step_s=TICK_S, compute="cpu", cores=cores, report=lambda what, share: None

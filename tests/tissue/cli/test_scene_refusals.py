@@ -5,6 +5,8 @@ from types import SimpleNamespace
 import pytest
 from coarse_run import COARSE
 
+from meshes.base.errors import InputError
+from tissue import Loop
 from tissue.scene.load import scene_text
 
 
@@ -41,6 +43,11 @@ from tissue.scene.load import scene_text
         ("motion.points_mm=[[0,0,nan],[1,1,1]]", "motion.points_mm", "[[0, 0, nan], [1, 1, 1]]"),
         ('motion.points_mm=[[0,0,"a"],[1,1,1]]', "motion.points_mm", "[[0, 0, a], [1, 1, 1]]"),
         ("motion.points_mm=[[1,1,1],[1,1,1]]", "motion.points_mm", "only one"),
+        (
+            "motion.points_mm=[[0,0,1],[0,0,-1],[0,0,-1],[0,0,1]]",
+            "motion.points_mm",
+            "(0, 0, -1) as points 2 and 3. Remove one of them. A pause of the tool needs",
+        ),
         ("motion.axis=[0,1]", "motion.axis", "[0, 1]"),
         ("motion.axis=[0,0,0]", "motion.axis", "(0, 0, 0)"),
         ("anatomy.size_mm=[0,1,1]", "anatomy.size_mm", "[0, 1, 1]"),
@@ -156,3 +163,11 @@ def test_a_refused_key_of_a_needle_names_the_needle_and_its_constants(refused):
         "needle.liver.linear_N_mm, in the file that materials names, or remove organ.young_kPa"
     ) in message
     assert "anatomy.kind" not in message
+
+
+def test_structures_of_a_needle_are_refused_with_the_way_to_their_distances(refused, here):
+    message = refused("run", "needle", "--set", "keep_clear.files.vessel=vessel.stl")
+    assert message.startswith("keep_clear.files must be left out for a needle, which cuts neither")
+    assert "deflection_mm" in message and "anatomy.kind" not in message
+    with pytest.raises(InputError, match="keep_clear must be left out for a needle, got .* trace"):
+        Loop("needle", keep_clear={"vessel": "vessel.stl"})
