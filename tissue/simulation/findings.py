@@ -81,6 +81,8 @@ def findings(
     found: dict[str, Any] = {}
     if apart_mm is not None:
         found["path_distance_mm"] = apart_mm
+    if "insertion_mm" in trace.columns:
+        found["largest_insertion_mm"] = float(trace["insertion_mm"].max())
     if rise := largest_rise(trace):
         found["largest_rise"] = rise
     cutter = parts.cutter

@@ -86,6 +86,8 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
                 f"{apart['largest_in_contact']:.3g} / {apart['largest']:.3g} mm{valid}",
             )
         )
+    if (inserted_mm := summary.get("largest_insertion_mm")) is not None:
+        rows.append(("inserted, largest", f"{inserted_mm:.3g} mm"))
     # Only the summary of an organ with a hyperelastic law has this table.
     law = summary.get("law", {}).get("solve_ms")
     solves = (

@@ -8,6 +8,7 @@ import pytest
 from tissue import load_scene, simulate
 from tissue.objects.overlay import Curve, overlay
 from tissue.show.figures import draw_pictures, force_depth, organ_pictures
+from tissue.show.report.page import run_rows
 
 pytest.importorskip("pyvista")
 
@@ -53,6 +54,8 @@ def test_insertion_of_an_oblique_needle_shows_the_force_along_its_axis(tmp_path,
     drawn_mm = charts[0].axes[0].lines[0].get_xdata()
     np.testing.assert_allclose(np.maximum(drawn_mm, 0.0), travel_mm, atol=1e-5)
     panels = overlay([Curve("oblique", run.trace)], over="depth")
+    assert run.summary["largest_insertion_mm"] == run.trace["insertion_mm"].max()
+    assert ("inserted, largest", f"{run.trace['insertion_mm'].max():.3g} mm") in run_rows(run.summary)
     assert panels[0].lines[0].get_xdata().max() == pytest.approx(travel_mm.max(), abs=0.2)
 
 
