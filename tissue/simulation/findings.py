@@ -60,6 +60,12 @@ LEAST_DENSE = 0.001
 
 The share was chosen by judgement.
 """
+SHORTEST_RECORDING_MM = 0.5
+"""Extent of a recorded motion along an axis [mm] below which a note suggests to check the unit.
+
+A hand moves a tool farther, and 0.5 m of a motion read in mm instead of m has this extent. The
+value was chosen by judgement.
+"""
 FORWARD = 0.5
 """Smallest share of the travel in a tick, along the tool's axis, that counts as forward motion.
 
@@ -155,6 +161,13 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
                 f"less than {100.0 * LEAST_DENSE:g} % of the bone in the region reaches {dense:g} "
                 "kg/m3. Thick voxels of a CT blur thin cortical bone; lower "
                 "anatomy.cortical_above_kg_m3, or import a finer CT"
+            )
+    if isinstance(scene.motion, ReplayMotion):
+        extent_mm = 1e3 * float(np.ptp(parts.motion.sweep_m(), axis=0).max())
+        if 0.0 < extent_mm < SHORTEST_RECORDING_MM:
+            found["length of the path"] = (
+                f"the recorded positions span only {extent_mm:.2g} mm; check that the columns of "
+                "motion.file have the units of their names"
             )
     if parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
         return found
