@@ -13,6 +13,7 @@ from pydantic_core import ErrorDetails
 from meshes.base.errors import InputError
 from meshes.base.hints import closest, did_you_mean
 from meshes.base.text_tables import shown, unknown_name
+from tissue.materials.scene_constants import TABLES
 from tissue.scene.anatomy import Tooth
 from tissue.scene.part import LONGEST_PATH, ByKind, Idle, OneOf, kinds_of
 from tissue.scene.registry import ANATOMIES
@@ -181,6 +182,12 @@ def _unknown_key(place: _Place, table: Table, model: type[BaseModel]) -> InputEr
     names = place.names
     if place.holders:
         return _of_another_kind(place, place, table)
+    if len(names) == 1 and names[0] in TABLES:
+        constant = next((key for key, _ in entries({names[0]: place.value})), names[0])
+        return InputError(
+            f"{constant} is not a known key of a scene. Constants are set in a TOML file that the key "
+            'materials names: write the constant into this file, and set materials = "FILE.toml"'
+        )
     keys = dict(_keys(table, model, present=names[:-1]))
     meant = _meant(names, keys)
     if meant and not keys.get(meant[0], True):

@@ -171,3 +171,17 @@ def test_structures_of_a_needle_are_refused_with_the_way_to_their_distances(refu
     assert "deflection_mm" in message and "anatomy.kind" not in message
     with pytest.raises(InputError, match="keep_clear must be left out for a needle, got .* trace"):
         Loop("needle", keep_clear={"vessel": "vessel.stl"})
+
+
+def test_a_constant_as_a_key_is_refused_with_the_place_of_constants(refused):
+    message = refused("run", "needle", "--set", "needle.liver.linear_N_mm=0.2")
+    assert message.startswith("needle.liver.linear_N_mm is not a known key of a scene. Constants")
+
+
+def test_a_constant_that_does_not_fit_a_built_in_constant_is_refused_with_both(refused, here):
+    entry = 'value = 20\nrange = [15, 25]\nsource = "own"\nconfidence = "M"\n'
+    (here / "own.toml").write_text(f"[needle.liver.sliding_in_N_m]\n{entry}")
+    message = refused("run", "needle", "--set", "materials=own.toml")
+    assert message.startswith(
+        "static_in_N_m (built-in value) must be at least sliding_in_N_m (20), got 18.45."
+    )
