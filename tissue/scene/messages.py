@@ -15,7 +15,7 @@ from meshes.base.hints import closest, did_you_mean
 from meshes.base.text_tables import shown, unknown_name
 from tissue.materials.scene_constants import TABLES
 from tissue.scene.anatomy import Tooth
-from tissue.scene.part import LONGEST_PATH, ByKind, Idle, OneOf, kinds_of
+from tissue.scene.part import LONGEST_PATH, ByKind, Idle, OneOf, entries, kinds_of
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import OR_NONE, Scene
 from tissue.scene.tool import Probe, Tool
@@ -185,8 +185,8 @@ def _unknown_key(place: _Place, table: Table, model: type[BaseModel]) -> InputEr
     if len(names) == 1 and names[0] in TABLES:
         constant = next((key for key, _ in entries({names[0]: place.value})), names[0])
         return InputError(
-            f"{constant} is not a known key of a scene. Constants are set in a TOML file that the key "
-            'materials names: write the constant into this file, and set materials = "FILE.toml"'
+            f"{constant} is not a known key of a scene. Write constants into a TOML file, and "
+            'name this file by the key materials: materials = "FILE.toml"'
         )
     keys = dict(_keys(table, model, present=names[:-1]))
     meant = _meant(names, keys)
@@ -379,15 +379,6 @@ def idle_keys(fault: ErrorDetails, table: Table) -> list[str]:
     if fault["type"] == "extra_forbidden" and place.holders:
         return [".".join(place.names)]
     return []
-
-
-def entries(table: Table, prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield the dotted keys and the values of nested tables."""
-    for name, value in table.items():
-        if isinstance(value, Mapping):
-            yield from entries(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
 
 
 def _shown(value: object) -> str:

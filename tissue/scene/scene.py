@@ -254,8 +254,8 @@ class Scene(Part):
     motion: AnyMotion
     """Motion of the tool."""
     keep_clear: KeepClear | None = None
-    """Structures that the tool must not touch. The tool must cut bone or teeth. For a needle, compute
-    distances from the tip positions and directions in the trace; ``deflection_mm`` is the
+    """Structures that the tool must not touch. The tool must cut bone or teeth. For a needle,
+    compute distances from the tip positions and directions in the trace; `deflection_mm` is the
     displacement of the tissue along the needle.
     """
     cutting: Cutting = Cutting()

@@ -167,8 +167,8 @@ def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Par
         )
     if unused:
         parts.notes["not used"] = (
-            f"{', '.join(unused)} of the scene, because a program moves the tool and only the force "
-            "is computed"
+            f"{', '.join(unused)} of the scene, because a program moves the tool and only the "
+            "force is computed"
         )
     return parts, Region.of(motion)
 

@@ -193,7 +193,10 @@ def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) 
         f'<a download="scene.toml" href="data:application/toml;base64,{data}">save it as '
         "scene.toml</a>"
     )
-    commands = 'pip install "tissue-sim"\ntissue run scene.toml --out again\ntissue report again'
+    commands = (
+        "pip install .    # in a checkout of tissue\n"
+        "tissue run scene.toml --out again\ntissue report again"
+    )
     rows = [(text(name), text(value)) for name, value in versions]
     return (
         f"<h2>Scene</h2><p>Everything that was used; {keep}. Files that it names are without "

@@ -55,7 +55,9 @@ def test_insertion_of_an_oblique_needle_shows_the_force_along_its_axis(tmp_path,
     np.testing.assert_allclose(np.maximum(drawn_mm, 0.0), travel_mm, atol=1e-5)
     panels = overlay([Curve("oblique", run.trace)], over="depth")
     assert run.summary["largest_insertion_mm"] == run.trace["insertion_mm"].max()
-    assert ("inserted, largest", f"{run.trace['insertion_mm'].max():.3g} mm") in run_rows(run.summary)
+    assert ("inserted, largest", f"{run.trace['insertion_mm'].max():.3g} mm") in run_rows(
+        run.summary
+    )
     assert panels[0].lines[0].get_xdata().max() == pytest.approx(travel_mm.max(), abs=0.2)
 
 
