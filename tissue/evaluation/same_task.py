@@ -9,7 +9,7 @@ from pathlib import Path
 from meshes.base.errors import InputError
 from meshes.base.text_tables import shown
 from tissue.scene.load import names_file
-from tissue.scene.messages import entries
+from tissue.scene.part import entries
 from tissue.scene.scene import Scene, without_fields
 from tissue.scene.used_constants import used_constants
 from tissue.simulation.run_folder import Summary

@@ -66,6 +66,13 @@ def _as_list(value: object) -> object:
     return [value] if isinstance(value, str) else value
 
 
+OWN_DISTANCES = (
+    "replace keep_clear by your own computation of distances from the tip positions and directions "
+    "in the trace (for a needle, deflection_mm is the displacement of the tissue along its axis)"
+)
+"""Remedy for `keep_clear` in a scene whose tool is a needle, a blade or a probe."""
+
+
 class KeepClear(Part):
     """Structures that the tool must not touch.
 
@@ -247,7 +254,10 @@ class Scene(Part):
     motion: AnyMotion
     """Motion of the tool."""
     keep_clear: KeepClear | None = None
-    """Structures that the tool must not touch."""
+    """Structures that the tool must not touch. The tool must cut bone or teeth. For a needle,
+    compute distances from the tip positions and directions in the trace; `deflection_mm` is the
+    displacement of the tissue along the needle.
+    """
     cutting: Cutting = Cutting()
     """Changes to the built-in cutting coefficients."""
     output: Output = Output()
@@ -402,6 +412,9 @@ class Scene(Part):
                     f"give constants of the tissue, such as {ENTERED[type(self.tool)]}, in the "
                     "file that materials names"
                 )
+            if table == "keep_clear" and not is_cut:
+                where = f"for a {self.tool.kind}, which cuts neither bone nor teeth"
+                remedy = OWN_DISTANCES
             yield table, table not in reads, where, remedy
         if isinstance(anatomy, BlockImage):
             yield (

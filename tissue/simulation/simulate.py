@@ -32,6 +32,7 @@ from tissue.simulation.builders.parts import (
     TissueBuilder,
     motion_of,
     require_device,
+    require_no_pause,
     require_stated_rate,
 )
 from tissue.simulation.builders.prediction import ADAPTIVE
@@ -217,6 +218,7 @@ def _require_runnable(
             "fidelity in their place",
             "use tissue.simulate, which chooses the settings",
         )
+    require_no_pause(scene)
     if device is None:
         return
     require_device(device.device if isinstance(device, SafeDevice) else device)

@@ -88,6 +88,8 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
                 f"{apart['largest_in_contact']:.3g} / {apart['largest']:.3g} mm{valid}",
             )
         )
+    if (inserted_mm := summary.get("largest_insertion_mm")) is not None:
+        rows.append(("inserted, largest", f"{inserted_mm:.3g} mm"))
     # Only the summary of an organ with a hyperelastic law has this table.
     law = summary.get("law", {}).get("solve_ms")
     solves = (
@@ -193,7 +195,10 @@ def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) 
         f'<a download="scene.toml" href="data:application/toml;base64,{data}">save it as '
         "scene.toml</a>"
     )
-    commands = 'pip install "tissue-sim"\ntissue run scene.toml --out again\ntissue report again'
+    commands = (
+        "pip install .    # in a checkout of tissue\n"
+        "tissue run scene.toml --out again\ntissue report again"
+    )
     rows = [(text(name), text(value)) for name, value in versions]
     return (
         f"<h2>Scene</h2><p>Everything that was used; {keep}. Files that it names are without "
