@@ -130,8 +130,8 @@ class HeatGrid:
 
         Each array has the shape of the grid. An entry belongs to the face between a cell and the
         next cell along the axis. The two half cells are in series: the conductance is area / (d /
-        2k + d' / 2k'), with the widths d and d' and the conductivities k and k'. The last plane of
-        an array along its axis is 0.
+        2k + d' / 2k'), with the widths d and d' and the conductivities k and k'. In the array for
+        an axis, the last plane along this axis is 0.
         """
         found = []
         conductivity = self.conductivity_W_mK

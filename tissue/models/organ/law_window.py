@@ -59,7 +59,7 @@ class LawWindow:
         Touchable nodes in the window, as indices into all touchable nodes, in rising order, shape
         (w,).
     places
-        Indices of the nodes in `inside` among the nodes of the window, shape (w,).
+        For each node in `inside`, its index among the nodes of the window, shape (w,).
     region
         Region of the window.
     """
@@ -96,8 +96,8 @@ class LawWindow:
         Parameters
         ----------
         crept_N, held_m
-            Crept forces (contact forces after creep) [N] and displacements [m] of all touchable
-            nodes, each of shape (t, 3).
+            Crept forces [N] (forces that would cause the displacements without creep) and
+            displacements [m] of all touchable nodes, each of shape (t, 3).
         compliance
             Function that returns the compliance of the springs [m/N], shape (3l, 3l). Its arguments
             are this window and the loaded nodes, as indices into `inside`, shape (l,).
@@ -159,7 +159,8 @@ class LawWindows:
         Parameters
         ----------
         nodal_forces_N, crept_N
-            Contact forces, and crept forces (contact forces after creep) [N], each of shape (t, 3).
+            Contact forces, and crept forces (forces that would cause the present displacement
+            without creep) [N], each of shape (t, 3).
         """
         size_N = np.linalg.norm(nodal_forces_N, axis=1)
         if len(self._windows) == 1 or not size_N.any():
@@ -199,7 +200,7 @@ class LawWindows:
 
     @property
     def indefinite(self) -> int:
-        """Number of tangent stiffnesses so far that were not positive definite."""
+        """Number of tangent stiffness matrices that have not been positive definite so far."""
         return sum(window.follower.indefinite for window in self._windows)
 
 

@@ -80,13 +80,13 @@ class ContactSolution:
     path, basis_size
         Method used to compute the compliance of the touchable nodes, and number of vectors of a
         reduced basis. If the method is None, columns of the compliance are computed from the
-        organ's factor and stored for the next tool.
+        factorised stiffness and stored for the next tool.
     tolerance, sweeps
         Tolerance of the contact solver, and largest number of sweeps, see `SurfaceContact`. The
         defaults suit a tick of 1 ms.
     cores
-        Number of processor cores that share the projection of a shell's points onto the organ;
-        default: all cores.
+        Number of processor cores that project the points of a shell onto the organ; default: all
+        cores.
     """
 
     path: CompliancePath | None = None
@@ -232,8 +232,8 @@ class LiverModel:
     def state(self) -> State:
         """Return a copy of the state on which later ticks depend.
 
-        The factor of a hyperelastic law is shared, not copied. A pickled state does not contain the
-        factor.
+        The stiffness factorisation of a hyperelastic law is shared, not copied. A pickled state
+        does not contain the factorisation.
         """
         creep = [copied(each, HereditaryIntegral.STATE) for each in self._integrals()]
         crept = self._crept_N.copy()
@@ -357,7 +357,7 @@ class LiverModel:
         self._fields.notices.clear()
 
     def summary(self) -> dict[str, object]:
-        """Return statistics of the solutions of a hyperelastic law, for the summary of the run.
+        """Return solver statistics of a hyperelastic law, for the summary of the run.
 
         The dictionary is empty for a linear organ.
         """

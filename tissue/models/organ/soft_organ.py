@@ -128,9 +128,9 @@ class OrganLaw:
     Attributes
     ----------
     law
-        Hyperelastic law of a cell with the factor 1.
+        Hyperelastic law of a cell whose entry in ``cell_factors`` is 1.
     cell_factors
-        Factor of the law's moduli in each cell, shape (m,).
+        Factor by which the law's moduli are multiplied in each cell, shape (m,).
     interval_s
         Time between two solutions of the law [s]; 0 for an organ that is solved only by
         `LiverModel.converge`.
@@ -243,11 +243,11 @@ class SoftOrgan:
         return Factor(self.body, np.unique(self.space.faces))
 
     def expect(self, near_m: Array, within_m: float) -> None:
-        """Request a stiffness factor that contains the compliance of the surface near some points.
+        """Request a stiffness factorisation that contains the surface compliance near some points.
 
         `near_m` are the points [m], shape (k, 3), and `within_m` is the largest distance of a node
-        from a point. The request has no effect if the factor was computed before. A press at
-        another place needs additional back-substitutions before its first step.
+        from a point. The request has no effect if the factor was computed before. If a tool presses
+        at another place, additional back-substitutions are needed before its first step.
         """
         surface = np.unique(self.space.faces)
         near = cKDTree(near_m).query(self.space.nodes_m[surface])[0] <= within_m
@@ -297,8 +297,9 @@ class SoftOrgan:
     ) -> Array:
         """Return the compliance of t touchable nodes [m/N], shape (3t, 3t).
 
-        If `path` is None, columns of the compliance are computed from the organ's factor and stored
-        for the next tool. `basis_size` is the number of basis vectors for the path ``reduced``.
+        If `path` is None, columns of the compliance are computed from the factorised stiffness and
+        stored for the next tool. `basis_size` is the number of basis vectors if `path` is
+        ``reduced``.
 
         Raises
         ------

@@ -172,7 +172,7 @@ class HexGrid:
         return self.find_cells(place.astype(np.int64)), scaled - place
 
     def coarse(self) -> tuple["HexGrid", Int32s]:
-        """Return a grid with twice the edge, and the coarse cell that holds each cell of this grid.
+        """Return the grid with twice the cell edge, and the coarse cell that contains each cell.
 
         The indices of the coarse cells are int32, shape (c,).
         """
@@ -362,11 +362,11 @@ def bed_stiffness(
 ) -> tuple[float, float]:
     """Return the stiffness of a thin bonded layer, across and along the layer [N/m3].
 
-    The layer is bonded on both sides. A layer that is much thinner than wide cannot bulge at its
-    edges. The stiffness per area is then a modulus divided by the thickness. Across the layer, the
-    modulus is the confined modulus E (1 - v) / ((1 + v) (1 - 2 v)). Along the layer, it is the
-    shear modulus. Such a layer is a Winkler foundation. The relative error is of the order of
-    thickness divided by width.
+    The layer is bonded on both sides. A layer cannot bulge at its edges if its thickness is much
+    smaller than its width. The stiffness per area is then a modulus divided by the thickness.
+    Across the layer, the modulus is the confined modulus E (1 - v) / ((1 + v) (1 - 2 v)). Along the
+    layer, it is the shear modulus. Such a layer is a Winkler foundation. The relative error is of
+    the order of thickness divided by width.
     """
     confined = (
         modulus_Pa * (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))

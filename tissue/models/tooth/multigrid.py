@@ -162,7 +162,7 @@ class GridLevel:
     def update(self, changed: Int32s) -> Int32s:
         """Update the stiffness after a change of some cells of the finer level.
 
-        Return the indices of the cells of this level that contain these cells.
+        Return the indices of this level's cells that contain the changed cells.
         """
         cells = np.unique(self._parent[changed])
         inputs = [*self._projected, cells]
