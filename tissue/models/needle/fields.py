@@ -177,7 +177,7 @@ class NeedleFields:
         interval_s: float,
         constants: Materials = Materials.cited,
     ) -> "NeedleFields":
-        """Return the fields of a block with the Young's modulus of liver from the cited sources.
+        """Return the fields of a block with the Young's modulus of liver in the cited sources.
 
         Poisson's ratio is the smallest value in the cited sources, because linear finite elements
         lock at larger values.

@@ -198,7 +198,7 @@ class ContactResult:
     contacts
         Number of contact points that carry force.
     area_m2
-        Area that the contact points with force represent, on the organ or on a shell [m2].
+        Area that contact points with nonzero force represent, on the organ or on a shell [m2].
     penetration_m
         Deepest remaining penetration [m].
     """
@@ -266,8 +266,8 @@ class SurfaceContact:
         Coefficient of Coulomb friction.
     tolerance
         Allowed change of a point's displacement in the last sweep, relative to the largest
-        displacement. On a slab under a sphere the error of the force is 1 % with 1e-3 and 0.2 %
-        with 1e-4.
+        displacement. For a sphere on a slab, the error of the force is 1 % at a tolerance of 1e-3,
+        and 0.2 % at 1e-4.
     sweeps
         Largest number of Gauss-Seidel sweeps in one call of `solve`.
     spacing_m

@@ -237,7 +237,7 @@ class LawOffset:
         return min((time_s - self._changed_s) / self.interval_s, 1.0)
 
     def start_thread(self) -> None:
-        """Start the second thread, with the priority of the caller."""
+        """Start the thread that computes equilibria; it has the priority of the caller."""
         self._second_thread().submit(int)
 
     def _second_thread(self) -> Executor:

@@ -56,8 +56,7 @@ class LawWindow:
     follower
         Solver for the equilibria of the nodes in the window.
     inside
-        Touchable nodes in the window, as indices into all touchable nodes, in rising order, shape
-        (w,).
+        Touchable nodes in the window, as increasing indices into all touchable nodes, shape (w,).
     places
         For each node in `inside`, its index among the nodes of the window, shape (w,).
     region
@@ -154,7 +153,7 @@ class LawWindows:
         """Use the window nearest to the contact, and return True if the window changed.
 
         A new window starts from the displacement of the last window. Nodes outside the last window
-        start from the displacement by the linear law.
+        start from the displacement that the linear law gives.
 
         Parameters
         ----------

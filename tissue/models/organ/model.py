@@ -97,7 +97,7 @@ class ContactSolution:
 
 
 class LiverModel:
-    """Soft organ under a tool on a given path.
+    """Soft organ that is touched by a tool on a given path.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class LiverModel:
     solution
         Options of the contact solver.
     interval_s
-        Time between two frames of displacement and stress [s]; infinite for no frames.
+        Time between two frames of displacement and stress [s]; infinity if no frames are wanted.
     step_s
         Length of a tick [s].
     report

@@ -206,7 +206,7 @@ class ShellProbe(ProbeShape):
         return float(np.linalg.norm(self.points_m - [0.0, 0.0, height], axis=1).max()), height
 
     def distance(self, points_m: Array) -> Array:
-        """Return the signed distance of each point to the plane of its nearest shell point [m]."""
+        """Return the signed distance [m] of points to the tangent plane at their nearest point."""
         from scipy.spatial import cKDTree
 
         _, nearest = cKDTree(self.points_m).query(points_m)

@@ -52,8 +52,8 @@ class ToolPath:
 def _touchable_patch(space: Space, tool: ToolPath) -> tuple[Ints, Ints]:
     """Return surface nodes near a tool's path, and the triangles between these nodes.
 
-    The nodes have shape (t,), the triangles (f, 3). The triangles are indices into
-    the array of nodes.
+    The nodes are an array of shape (t,), and the triangles an array of shape (f, 3). The triangles
+    are indices into the array of nodes.
     """
     triangles = linear_triangles(space.faces)
     centres = space.nodes_m[triangles].mean(axis=1)
@@ -212,7 +212,7 @@ class SoftOrgan:
 
     @cached_property
     def membrane(self) -> bsr_array | None:
-        """Stiffness of the capsule [N/m]; None without a capsule."""
+        """Stiffness of the capsule [N/m]; None if the organ has no capsule."""
         if self.capsule is None:
             return None
         return self.capsule.stiffness(self.space, self.space.faces)
@@ -255,7 +255,7 @@ class SoftOrgan:
 
     @cached_property
     def rest(self) -> tuple[Array, Array]:
-        """Nodal load of the weight [N] and displacement under this load [m], each of shape (n, 3).
+        """Nodal forces of gravity [N] and the resulting displacement [m], each of shape (n, 3).
 
         If no density was given, load and displacement are zero.
         """
@@ -268,8 +268,8 @@ class SoftOrgan:
     def touchable(self, tool: ToolPath) -> tuple[Ints, Ints]:
         """Return surface nodes near a tool's path, and the triangles between these nodes.
 
-        The nodes have shape (t,), the triangles (f, 3). The triangles are indices into the array of
-        nodes.
+        The nodes are an array of shape (t,), and the triangles an array of shape (f, 3). The
+        triangles are indices into the array of nodes.
 
         Raises
         ------

@@ -160,7 +160,7 @@ class ParticleBody:
     particles
         Particles of the body.
     grid
-        Cells that hold all particles, from :meth:`HexGrid.around`.
+        Grid, from :meth:`HexGrid.around`, whose cells together hold all particles.
     supports, springs
         Supports of the grid's nodes, and springs that connect points in the grid's cells to the
         ground. A spring is removed together with the cell that holds its point.
@@ -176,7 +176,7 @@ class ParticleBody:
     cells
         Stiffness of the cells.
     carrying
-        True for nodes of a cell that carries load, bool, shape (n,).
+        Mask of the nodes of cells that carry load, shape (n,).
     displacement_m
         Last solution for the displacement [m], shape (n, 3). The next solution starts from it.
     """
@@ -235,7 +235,7 @@ class ParticleBody:
     def update(self) -> Change:
         """Update stiffness, unsupported cells and preconditioner after particles have lost volume.
 
-        The stiffness is summed again only for cells with changed particles.
+        The stiffness is computed again only for cells with changed particles.
         """
         touched = np.flatnonzero(self._touched).astype(np.int32)
         self._touched[touched] = False
@@ -287,7 +287,7 @@ class ParticleBody:
         point_m
             A point, shape (3,), or points, shape (k, 3) [m].
         force_N
-            The force at each point [N], with the shape of the points.
+            Force at each point [N], with the same shape as `point_m`.
         """
         live = np.flatnonzero(self.cells.live)
         points = np.atleast_2d(point_m)

@@ -59,7 +59,7 @@ a standard deviation of 1.5 voxels, which is cut off at four standard deviations
 
 @dataclass(frozen=True)
 class SolveRecord:
-    """Duration and outcome of one solution for the stress."""
+    """Duration and outcome of one stress computation."""
 
     time_s: float
     iterations: int

@@ -128,7 +128,7 @@ class FinestLevel:
         run_once(node_diagonals, len(nodes), inputs, outputs)
 
     def bound_eigenvalues(self) -> None:
-        """Estimate the largest eigenvalue of D^-1 K: `MARGIN` times the result of the power method.
+        """Estimate the largest eigenvalue of D^-1 K as `MARGIN` times the power method's result.
 
         D is the diagonal of the stiffness K. The stored inverse of D is divided by this estimate.
         """

@@ -250,8 +250,8 @@ class FirstGuess:
     Parameters
     ----------
     kept
-        Solutions [m] that are always kept, and their loads [N], each of shape (n, 3): the six
-        solutions of the support compliance.
+        The six solutions [m] of the support compliance, which are always kept, and their loads [N],
+        each of shape (n, 3).
     recent
         Number of latest solutions that are kept in addition. While a body is cut, the solver needs
         3 iterations with two recent solutions, and 5 iterations with six, because older solutions
