@@ -45,7 +45,7 @@ class PassivityObserver:
     -F . dx from the device. In every tick, the observer adds this energy for the force of the last
     tick and the displacement since that tick. The sum has no approximation error, and includes the
     energy that the zero-order hold creates. For example, a device enters a spring of stiffness K
-    and leaves it, both at speed v. For each tick of length T on the way in, the spring then returns
+    and leaves it, both at speed v. For each tick of length T during entry, the spring then returns
     K (v T)^2 more energy than it took. Half of this energy arises on entry, and half on exit. A
     delayed force acts during a later displacement. If its delay is known, the sum is also correct.
 

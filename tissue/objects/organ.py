@@ -337,7 +337,8 @@ class Organ:
     def refined(self, *, edge_mm: float, near_mm: ArrayLike | None = None) -> Organ:
         """Return a copy of the organ with a finer mesh near points where a tool will press.
 
-        For a press, edges under the tool should have a length of a quarter of its diameter.
+        For a press, the length of the edges under the tool should be a quarter of the tool's
+        diameter.
 
         Parameters
         ----------
