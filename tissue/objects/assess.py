@@ -107,11 +107,10 @@ def rank(
     Trainees are ordered by the share of their runs with a breach, the smallest share first.
     Trainees with equal shares are ordered by their mean score. The score measures how steady a hand
     is; see `Assessment.steadiness`. A trainee with three or more attempts also has a learning
-    curve. Three kinds of runs are left out: runs of a task other than that of the reference run,
-    runs without a score, and runs that touch the tissue at no place that the reference run touches.
-    `Ranking.left_out` lists them. ``ranking.csv`` also has rows for the runs without a score.
-    `Ranking.notes` lists differences between the scenes of the runs, such as differences in the
-    coupling to the device.
+    curve. Three kinds of runs are left out: runs of another task, runs without a score, and runs
+    that touch no place of the tissue that the reference run touches. `Ranking.left_out` lists them.
+    ``ranking.csv`` also has rows for the runs without a score. `Ranking.notes` lists differences
+    between the scenes of the runs, such as differences in the coupling to the device.
 
     Parameters
     ----------

@@ -219,7 +219,7 @@ def clearance_of(
     box_m: Array | None = None,
     times_s: Array | None = None,
 ) -> KeepClear | None:
-    """Return an object that measures a tool's distance from structures; None if there are none.
+    """Return an object that measures a tool's distance from structures, if there are any.
 
     Parameters
     ----------

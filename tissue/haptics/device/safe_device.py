@@ -92,7 +92,7 @@ class SafeDevice:
     entered
         True inside the ``with`` block.
     released
-        True if another thread has commanded zero force and no read has been in time since then.
+        True after another thread has commanded zero force, until the loop resets the value.
     slow_reads, slowest_read_s
         Number of reads that took longer than a tick, and the longest duration of such a read [s].
     """

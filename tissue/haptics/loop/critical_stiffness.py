@@ -187,7 +187,7 @@ def judge(loop: WallLoop, hands: Sequence[tuple[float, ...]] | None = None) -> V
     """Check the stability of a loop.
 
     If ``hands`` are given (see `in_hands`), these hands replace the hand of the loop. The result is
-    then for the least stable of these hands.
+    then valid for the least stable hand.
     """
     loops = (loop,) if hands is None else in_hands(loop, hands)
     critical = min(critical_stiffness_N_m(each) for each in loops)
