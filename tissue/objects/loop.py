@@ -65,12 +65,12 @@ if TYPE_CHECKING:
 
 @suggests_arguments
 class Loop:
-    """Simulation of a tool in a tissue in ticks of 1 ms, moved by a program or a haptic device.
+    """Simulation of a tool in a tissue, in ticks of 1 ms; a program or a device moves the tool.
 
     Without a device a program moves the tool: ``wrench = loop.step(pose)`` moves the tool to a pose
     and returns the force and torque on the tool. The tool follows the given poses exactly.
-    `snapshot` returns a copy of the state, and `restore` returns to this state. `reset` returns to
-    the initial state. After `restore`, equal poses give bit-identical forces.
+    `snapshot` returns a copy of the state, and `restore` loads such a copy. `reset` returns to the
+    initial state. After `restore`, the same poses give bit-identical forces.
 
     With a device, use ``with Loop(...) as loop: row = loop.step()`` or ``loop.run(10.0)``. In each
     tick the loop reads the device, the tool follows the device through a spring, and the tissue
@@ -317,11 +317,12 @@ class Loop:
         ----------
         pose
             Pose of the tool at the end of the step, in the frame of the tissue. Three forms are
-            accepted: a tip position [mm], shape (3,), with unchanged orientation; a tip position
+            accepted: a tip position [mm], shape (3,), which keeps the orientation; a tip position
             and a quaternion (x, y, z, w), shape (7,); or a homogeneous matrix, shape (4, 4). The z
             axis of the tool points from tip to shank. Leave out the pose if there is a device. The
             first pose has the time 0 in the trace. In a run of a scene, the start of the path has
-            the time 0. To get the same times, give the start of the path as the first pose.
+            the time 0. To get the same times as in a run of the scene, give the start of its path
+            as the first pose.
         velocity
             Velocity of the tip [mm/s], shape (3,), or velocity and angular velocity [rad/s] in one
             array, shape (6,). The default is the change of the pose divided by the duration of the
@@ -333,14 +334,14 @@ class Loop:
         TickRow or array
             Without a device: the wrench at the end of the step, shape (6,). The wrench contains the
             force on the tool [N] and the torque about the tip [N m], in the frame of the tissue.
-            With a device: the values of the trace in this tick, in a mapping that the next tick
-            overwrites.
+            With a device: a mapping with the values of the trace in this tick. The next tick
+            overwrites the mapping.
 
         Raises
         ------
         InputError
             If the pose is invalid, if a loop with a device is used outside a ``with`` block, or if
-            all rows of the trace are used. If the device fails, the error is a `DeviceError`.
+            the trace is full. If the device fails, the error is a `DeviceError`.
         """
         if self._session is not None:
             if pose is None:
@@ -410,15 +411,15 @@ class Loop:
         return self._posed("snapshot").snapshot()
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Return to a snapshot of this loop, or of a loop that was made from equal arguments.
+        """Restore a snapshot of this loop, or of another loop made with the same arguments.
 
         Rows of the trace after the time of the snapshot are removed.
 
         Raises
         ------
         InputError
-            If the tissue, tool, step duration or constants of the snapshot's loop differ from those
-            of this loop, or if the snapshot needs bone that this loop has not prepared.
+            If tissue, tool, step duration or constants of the snapshot's loop differ from those of
+            this loop, or if the snapshot needs bone whose voxels this loop has not made.
         """
         self._posed("restore").restore(snapshot)
         self._row.values_of_tick = self._loop.trace.rows[max(self.ticks - 1, 0) % self._most]
@@ -445,9 +446,9 @@ class Loop:
         real_time
             Whether each tick waits until it is due on the wall clock. A real device needs this. The
             ticks then run in a second thread. If the tissue is hyperelastic, its deformation is
-            solved in a third thread. A read of the device that takes longer than 2.5 ms gives no
-            sample. If the device gets no command for 50 ms, it receives zero force. Without real
-            time, the ticks wait for the solution of the hyperelastic deformation.
+            solved in a third thread. If a read of the device takes longer than 2.5 ms, the tick has
+            no device sample. If the device gets no command for 50 ms, it receives zero force. If
+            `real_time` is False, the ticks wait for the solution of the hyperelastic deformation.
         on_tick
             Function that is called after every tick with the number of the tick and its row of the
             trace. The run ends if the function returns False.

@@ -42,7 +42,7 @@ HIGH = -1
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One run of the plot.
+    """One run in a plot.
 
     Attributes
     ----------
@@ -53,8 +53,8 @@ class Curve:
     band
         Uncertainty band of the run; None to draw no band.
     is_path_given
-        Whether the tool follows a given path. The depth at a given time is then equal in all
-        samples of the uncertainty band, so the band can be drawn over depth.
+        Whether the tool follows a given path. All samples of the uncertainty band then have the
+        same depth at a given time, so the band can be drawn over depth.
     """
 
     label: str
@@ -75,8 +75,8 @@ class Loads:
         Columns: thrust [N], two force components perpendicular to the tool's axis [N], and torque
         [N m]; shape (rows, 4).
     low, high
-        Ends of the 90 % uncertainty band of `values` in the first n rows, shape (n, 4); None
-        without a band.
+        Ends of the 90 % uncertainty band of `values`, shape (n, 4). The band covers the first n
+        rows. None without a band.
     force
         Force on the tool in the world frame [N], shape (rows, 3).
     """
@@ -89,7 +89,7 @@ class Loads:
 
 
 def chosen_over(curves: Sequence[Curve]) -> Over:
-    """Return depth if all tools mainly move into the tissue, else time.
+    """Return ``depth`` if all tools mainly move into the tissue, else ``time``.
 
     If a run has an uncertainty band and its tool does not follow a given path, return ``time``.
     """
@@ -122,7 +122,7 @@ def _heights(trace: "Table") -> tuple[Flags, Array]:
 def overlay(
     curves: Sequence[Curve], *, over: Over | None = None, about_axis: bool = True
 ) -> NDArray[np.object_]:
-    """Draw thrust, force across the tool and torque of all runs in one figure.
+    """Draw thrust, lateral force and torque of all runs in one figure.
 
     A force component perpendicular to the tool's axis is not drawn if it is small in all runs. For
     two runs, the last panel shows the magnitude of the vector difference of the two forces at equal
@@ -134,8 +134,8 @@ def overlay(
         Runs in the order of the legend.
     over
         ``time``; or ``depth`` below the point of first contact, for a needle along its axis. Over
-        depth, only the ticks are drawn in which the tip is deeper than in all earlier ticks. See
-        `chosen_over` for the default.
+        depth, only ticks in which the tip is deeper than ever before are drawn. See `chosen_over`
+        for the default.
     about_axis
         Whether to draw the torque about the tool's axis. Otherwise the magnitude of the torque
         vector is drawn.

@@ -97,7 +97,7 @@ class Press:
         each of shape (3,).
     notes
         Notes on assumptions and on limits of the model, keyed by subject. For a ball, the note
-        ``linear`` states the depth up to which the linear law is valid.
+        ``linear`` gives the depth up to which linear elasticity is valid.
     """
 
     tool: PressingTool
@@ -149,7 +149,7 @@ class Press:
 
     @property
     def stiffness_N_mm(self) -> float:
-        """Slope of the force along the press over the last tenth of the depth [N/mm]."""
+        """Slope of the force in the press direction over the last tenth of the depth [N/mm]."""
         depth = self.depth_mm
         force = -self.forces_N @ self.along
         last = int(np.argmax(depth >= depth[-1]))
@@ -159,7 +159,7 @@ class Press:
 
     @cached_property
     def mesh(self) -> pyvista.UnstructuredGrid:
-        """Undeformed mesh with displacement, stress and strain at the end of the press [mm].
+        """Undeformed mesh [mm], with displacement, stress and strain at the end of the press.
 
         The point arrays are ``displacement_mm`` and ``reaction_N``. The cell arrays are
         ``von_mises_kPa``, ``principal_stress_kPa``, ``strain_percent`` and ``part``. The array
@@ -316,8 +316,8 @@ def press_at(
     at_m
         The given point [m], shape (3,).
     along
-        Direction of the tool's motion, shape (3,). None: opposite to the mean surface normal under
-        the tool, into the organ.
+        Direction of the tool's motion, shape (3,). If None, the tool moves into the organ, opposite
+        to the mean surface normal under the tool.
     moves
         Depth, speed, holding time and progress, as for `tissue.models.organ.press.press`.
 
@@ -454,7 +454,7 @@ def _across(along: Any) -> Any:
 
 
 def shaded(body: pyvista.DataSet) -> pyvista.PolyData:
-    """Return the surface of a body with outward normals for shading; sharp edges stay sharp."""
+    """Return a body's surface, with outward normals for smooth shading and with sharp edges."""
     surface = body.extract_surface(algorithm="dataset_surface").triangulate()
     # 40 degrees is more than the angles between triangles of a round surface, and less than the
     # angle at an edge.
@@ -464,7 +464,7 @@ def shaded(body: pyvista.DataSet) -> pyvista.PolyData:
 
 
 def new_plotter(options: dict[str, Any]) -> pyvista.Plotter:
-    """Return a plotter with a white background; its options are removed from `options`."""
+    """Return a plotter with a white background, and remove the plotter's options from `options`."""
     import pyvista
 
     mine = {
@@ -482,8 +482,8 @@ def organ_around(
 ) -> LiverModel:
     """Return the model of an organ for a loop, prepared for presses near the start of the tool.
 
-    The tip of the tool may move from `start_m` by up to `reach_m` [m] in each direction
-    perpendicular to `axis`, and by up to `reach_m` opposite to `axis`, into the organ.
+    The tip may move up to `reach_m` [m] from `start_m` in each direction perpendicular to `axis`,
+    and up to `reach_m` into the organ (opposite to `axis`).
     """
     from tissue.models.organ.model import ContactSolution, LiverModel
     from tissue.models.organ.soft_organ import ToolPath

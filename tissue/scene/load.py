@@ -59,7 +59,7 @@ class OldSceneWarning(UserWarning):
 
 
 class DroppedKeyWarning(UserWarning):
-    """Warning about keys of a scene that have no effect after overrides."""
+    """Warning about scene keys that have no effect after other keys were overridden."""
 
 
 def full_key(key: str, value: object = None) -> str:
@@ -75,8 +75,8 @@ def full_key(key: str, value: object = None) -> str:
 def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
     """Convert the table of a scene file to the current format.
 
-    The second returned value is True if keys without effect are accepted, because a run wrote them.
-    Runs wrote such keys only up to format 1.
+    The second returned value is True if keys without effect are accepted, as in files that a run
+    wrote. Only files up to format 1 contain such keys.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def scene_names() -> list[str]:
 
 @suggests_arguments
 def scene_text(name: str) -> str:
-    """Return the TOML text of the scene with a name.
+    """Return the TOML text of a scene, given its name.
 
     Raises
     ------
@@ -193,8 +193,8 @@ def load_scene(
     overrides
         Values that replace values of the scene, keyed by dotted key, such as
         ``{"voxels.spacing_mm": 0.2}``. Keys of the table ``device`` may be given without the name
-        of the table: ``hand``, ``coupling.delay_ms``. If an override makes another key of the scene
-        ineffective, that key is removed, and a warning names it.
+        of the table: ``hand``, ``coupling.delay_ms``. If an override makes another scene key
+        ineffective, the other key is removed and named in a warning.
     live
         True for a live run, in which the mouse moves the tool if the scene names no device.
 
@@ -258,7 +258,7 @@ def scene_table(path: Path) -> dict[str, Any]:
 
 
 def saved_text(scene: Scene) -> str:
-    """Return a scene as TOML text, with the version of the file format and of tissue."""
+    """Return a scene as TOML text, with the versions of the file format and of the package."""
     return f'format = {FORMAT}\ntissue = "{package_version()}"\n{scene.to_toml()}'
 
 

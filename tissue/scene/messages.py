@@ -101,7 +101,7 @@ class _Place:
 
 
 def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) -> InputError:
-    """Convert a fault that pydantic found in a table to an error with a message for users."""
+    """Convert a fault of a table, found by pydantic, to an error with a message for users."""
     place = _Place.of(fault["loc"], table, model)
     key = place.key
     kind = str(fault["type"])
@@ -372,7 +372,7 @@ def _source(part: type[BaseModel]) -> str:
 
 
 def idle_keys(fault: ErrorDetails, table: Table) -> list[str]:
-    """Return the dotted keys without effect that a fault of pydantic reports."""
+    """Return the dotted names of the ineffective keys that a pydantic fault reports."""
     place = _Place.of(fault["loc"], table, Scene)
     if fault["type"] == "idle_keys":
         return [".".join((*place.names, key)) for key in fault["ctx"]["refused"]]
@@ -392,7 +392,7 @@ def _shown(value: object) -> str:
 
 
 def choices_of(field: FieldInfo) -> list[str]:
-    """Return the names that a field accepts as values; empty if the field accepts other values."""
+    """Return the names that a field accepts; empty if the field accepts other kinds of values."""
     literals = [part for part in _alternatives(field.annotation) if get_origin(part) is Literal]
     named = [name for each in field.metadata if isinstance(each, OneOf) for name in each.names]
     return named or [str(choice) for part in literals for choice in get_args(part)]

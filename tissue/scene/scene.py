@@ -98,7 +98,7 @@ class KeepClear(Part):
     """
 
     def require_valid(self) -> None:
-        """Check that at least one structure is given, and no structure twice."""
+        """Check that at least one structure is given, and that none is given twice."""
         if not self.names and not self.files:
             raise InputError(
                 "keep_clear", "state names or files", "neither", "remove it, or name a structure"
@@ -298,19 +298,20 @@ class Scene(Part):
 
     @property
     def motion_scale(self) -> float:
-        """Tool displacement [m] for each metre of device displacement; 1 without a device."""
+        """Ratio of the tool's displacement to the device's displacement; 1 without a device."""
         return 1.0 if self.device is None else self.device.coupling.motion_scale
 
     @property
     def predictor_file(self) -> str:
-        """File of a trained predictor; empty if the predictor shipped for the scene is used."""
+        """File of a trained predictor; empty if the predictor that comes with the scene is used."""
         return "" if self.device is None else self.device.coupling.predictor_file
 
     @property
     def constants(self) -> Materials:
         """Material constants for the scene.
 
-        They are the built-in constants, with replacements from the file in the key `materials`.
+        They are the built-in constants. The file named by the key `materials` may replace some of
+        them.
 
         Raises
         ------
@@ -320,7 +321,7 @@ class Scene(Part):
         return Materials.read(self.materials) if self.materials else Materials.cited
 
     def require_valid(self) -> None:
-        """Check that anatomy, tool, voxel size and stress cells can be used together."""
+        """Check that anatomy, tool, voxel size and stress grid can be used together."""
         kind = self.anatomy.kind
         wanted = ANATOMIES[kind].tool
         if not isinstance(self.tool, wanted):
@@ -509,7 +510,7 @@ for table in (ANATOMIES, CUTTERS, PROBES, NEEDLES, MOTIONS):
 
 
 def without_fields(scene: Scene) -> Scene:
-    """Return a copy of a scene that saves no fields during the run; fields do not affect forces."""
+    """Return a copy of a scene in which no fields are saved; forces do not depend on the fields."""
     for name in ("anatomy", "organ"):
         part = getattr(scene, name)
         if "interval_ms" in type(part).model_fields:

@@ -81,7 +81,7 @@ USUAL_PROBE_MM = 20.0
 
 
 class Shaped(Part):
-    """Base class of the tool classes that are created from entries of a registry."""
+    """Base class of the tool classes that are made from registry entries."""
 
     kind: str
     """Shape of the tool."""
@@ -92,8 +92,9 @@ class Shaped(Part):
 
 
 class Tool(Shaped):
-    """A rotating cutter with flutes, whose envelope is a surface of revolution. Concave cutters,
-    such as cup reamers for a convex joint head, are not modelled.
+    """A rotating cutter with flutes; its envelope is a surface of revolution.
+
+    Concave cutters, such as cup reamers for a convex joint head, are not modelled.
     """
 
     diameter_mm: float = Field(gt=0.1, le=100, examples=[6.0])
@@ -227,8 +228,8 @@ class Needle(Part):
 class Blade(Part):
     """A thin plate with a straight cutting edge, which cuts soft tissue.
 
-    The tool's x axis and the tool's axis lie in the plane of the blade. The cutting edge begins at
-    the tip.
+    The plane of the blade contains the tool's x axis and z axis (the axis of the tool). The cutting
+    edge begins at the tip.
     """
 
     kind: Literal["blade"] = "blade"

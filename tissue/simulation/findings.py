@@ -73,7 +73,7 @@ The limit excludes a tool that leaves the bone sideways.
 def findings(
     scene: Scene, parts: Parts, trace: Table, *, path_s: float
 ) -> tuple[dict[str, Any], Events]:
-    """Return the summary entries for the findings of a run, and the break-throughs as events.
+    """Return the findings of a run as summary entries, and the break-throughs as events.
 
     Notes on the findings are added to the notes of `parts`. For ``path_s``, see `shortfalls`.
     """
@@ -223,7 +223,7 @@ def path_distance_mm(scene: Scene, motion: Motion, trace: Table) -> dict[str, fl
 
 
 def path_note(scene: Scene, parts: Parts, apart_mm: dict[str, float] | None) -> dict[str, str]:
-    """Return a note that suggests smaller scales of the coupling if a hand left its path.
+    """Return a note that suggests smaller force and motion scales if a hand left its path.
 
     The note also appears if the tool came too close to a structure and the distance from the path
     can be the reason. ``apart_mm`` is the result of `path_distance_mm`.
@@ -292,7 +292,7 @@ def _force_scale_note(scene: Scene, apart_mm: float, radius_mm: float) -> str:
 
 
 def largest_rise(trace: Table) -> dict[str, str | float | bool]:
-    """Return the largest temperature rise of pulp or bone in a trace; empty without temperatures.
+    """Return the largest temperature rise of pulp or bone; empty if a trace has no temperatures.
 
     The keys are ``tissue``, ``rise_K``, ``time_s`` and ``rising_at_end``.
     """
@@ -343,7 +343,7 @@ def _missed_caries(anatomy: Tooth, parts: Parts) -> str:
 
 
 def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> list[dict[str, float]]:
-    """Return the break-throughs: exits of the tool's tip from bone, forward along its axis.
+    """Return the break-throughs: points where the tool's tip moves forward out of the bone.
 
     The entry ``time_s`` is the time of the first break-through in a hole [s]. The entry
     ``plunge_mm`` is the distance travelled along the axis from the break-through until the tool
@@ -352,8 +352,8 @@ def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> lis
 
     The surface of the bone is where the interpolated content of voxels before the run is one half.
     The time of an exit is interpolated between ticks. Each hole counts as one break-through. An
-    exit belongs to an earlier hole if the tool has occupied its place before: the place was behind
-    the tip, and closer to the tool's axis than the radius of the tool.
+    exit belongs to an earlier hole if its position was inside the tool before. This means that it
+    was behind the tip, and closer to the tool's axis than the tool's radius.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ WIDER = "use a larger reach_mm"
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """State of a session, for pickling and for restoring it later.
+    """State of a session, which can be pickled and restored later.
 
     The state can be restored in any session that was made with equal arguments.
 
@@ -73,7 +73,7 @@ class Region:
         Coordinates of two corners of the box along these axes [m], shape (3,) each. The tip may not
         leave the box, except at its top, where the box is open.
     deeper
-        Advice in the event for a tip below the box.
+        Advice that the event reports if the tip is below the box.
     """
 
     rotation: Array

@@ -58,7 +58,7 @@ def write_formats(run: CarvedRun, folder: Path, formats: Iterable[str]) -> None:
 def write_recording(run: CarvedRun, path: Path) -> None:
     """Write a run in the file layout of volumetric_drilling's recorder.
 
-    The layout follows version 3 of the note on data in volumetric_drilling.
+    The layout follows version 3 of the note on data in the repository volumetric_drilling.
 
     Data that a run does not have are left out. The recorder of volumetric_drilling also leaves out
     missing data. Images and camera are always left out. If the tool does not cut, voxels and burr

@@ -356,7 +356,8 @@ def _training_note(scene: Scene) -> dict[str, str]:
 def tick_count(scene: Scene, motion: Motion) -> int:
     """Return the number of ticks of a run.
 
-    If the run contains the whole motion, additional time for the delay of a hand is included.
+    If the run contains the whole motion, time is added because a hand follows the motion with a
+    delay.
     """
     seconds = scene.duration_s or motion.duration_s
     if seconds > LONGEST_S:

@@ -118,8 +118,8 @@ class DeviceParameters:
     mass_kg, damping_N_s_m, friction_N
         Apparent mass [kg], viscous friction [N s/m] and Coulomb friction [N] at the tip.
     encoder_step_m
-        Position resolution of the encoders [m]; 0 for exact positions. For a trained force
-        predictor, the variant for this resolution is used.
+        Position resolution of the encoders [m]; 0 for exact positions. A trained force predictor is
+        adapted to this resolution.
     force_limit_N
         Largest force [N].
     force_slew_N_ms
@@ -129,7 +129,8 @@ class DeviceParameters:
         each tick of 1 ms. With a lower rate, each force is held until the next sample of the
         device.
     transport_delay_s
-        Time from a sample to the force computed from it, in addition to the zero-order hold [s].
+        Time from a sample to the force that is computed from it [s]. The zero-order hold adds to
+        this time.
     amplifier_Hz
         Bandwidth of the motor amplifiers [Hz]; infinite for no lag.
     inertia_kg_m2, damping_Nm_s_rad, friction_Nm, encoder_step_rad

@@ -60,7 +60,7 @@ IDLE = ("", inf)
 
 
 class SafeDevice:
-    """Wrapper of a device that guarantees zero force and torque as the last command.
+    """Wrapper that guarantees that the last command to a device is zero force and torque.
 
     ``with SafeDevice(device) as held:`` enters the device if it is a context manager. At a regular
     end of the block and after `stop`, the force is ramped to zero in `RAMP_S`. After an exception,
@@ -92,7 +92,7 @@ class SafeDevice:
     entered
         True inside the ``with`` block.
     released
-        True if another thread has commanded zero force since the last read that was not late.
+        True after another thread has commanded zero force, until the loop resets the value.
     slow_reads, slowest_read_s
         Number of reads that took longer than a tick, and the longest duration of such a read [s].
     """
@@ -377,7 +377,7 @@ A check delays the ticks by some microseconds.
 
 
 def run_held(work: Callable[[], None], held: SafeDevice) -> None:
-    """Run the loop ``work`` of a device, and ensure that no force remains at its end.
+    """Run the loop ``work`` of a device, and ensure that the last force is zero.
 
     If the device may block, the loop runs in a second thread, because a blocked call cannot be
     interrupted. If the loop hangs, the calling thread commands zero force. If the device then does

@@ -27,9 +27,9 @@ tool's own size.
 class ProbingTool(HeldTool):
     """Tool of any shape in contact with rigid bone; as a god-object, it never penetrates the bone.
 
-    The contact forces at points of the tool's surface balance the coupling springs; see
-    :class:`tissue.haptics.proxy.proxy.Proxy`. The tool uses the voxels of the bone without copying
-    them, so another tool may carve the bone.
+    The contact forces at points of the tool's surface are in balance with the forces of the
+    coupling springs; see :class:`tissue.haptics.proxy.proxy.Proxy`. The tool uses the voxels of the
+    bone without copying them, so another tool may carve the bone.
     """
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:

@@ -197,7 +197,7 @@ class NetworkSession:
         self._greeting = (0, nan)
 
     def receive(self, data: bytes, sender: Hashable) -> bytes | None:
-        """Process a packet, and return the reply to the sender; None without a reply."""
+        """Process a packet, and return the reply to the sender, or None if there is no reply."""
         with self._lock:
             try:
                 return self._receive(unpacked(data), sender)
@@ -214,7 +214,7 @@ class NetworkSession:
             return newest
 
     def wrench(self, wrench: Wrench) -> tuple[Hashable, bytes] | None:
-        """Return the receiver of a wrench and the packet to send; None without a device."""
+        """Return the receiver and packet of a wrench to send, or None if no device is connected."""
         with self._lock:
             self._forget_silent()
             if self.peer is None:
@@ -222,12 +222,12 @@ class NetworkSession:
             return self.peer, self._packet(Kind.WRENCH, WRENCH.pack(*wrench))
 
     def bye(self) -> tuple[Hashable, bytes] | None:
-        """End the session: return the receiver and the last packet; None without a device."""
+        """End the session; return receiver and last packet, or None if no device is connected."""
         with self._lock:
             return self._ended_with(self._packet(Kind.BYE))
 
     def refused(self, sentence: str) -> tuple[Hashable, bytes] | None:
-        """End the session: return the receiver and a refusal; None without a device."""
+        """End the session; return receiver and refusal, or None if no device is connected."""
         with self._lock:
             # A character that is truncated within its bytes is dropped.
             payload = sentence.encode()[:MOST_WORDS].decode(errors="ignore").encode()

@@ -15,7 +15,7 @@ et al. 2022, Chinese Journal of Mechanical Engineering 35).
 
 
 class LawLimits:
-    """Check, in every tick, that the cutting law is valid for the feed and the surface of the tool.
+    """Check of the cutting law's limits: feed per tooth, and contact of the smooth surface.
 
     Parameters
     ----------
@@ -27,12 +27,12 @@ class LawLimits:
     Attributes
     ----------
     notices
-        One sentence for each limit, added when the limit is first exceeded. The simulation loop
-        logs a sentence and then removes it.
+        Sentences on exceeded limits. A limit adds its sentence when it is first exceeded. The
+        simulation loop logs a sentence and then removes it.
     passed
         Dictionary with a sentence for each limit that was exceeded. The key names the limit.
     thickest_m
-        Largest feed per tooth in bone so far [m].
+        Largest feed per tooth so far while the tool was in bone [m].
     """
 
     STATE = ("passed", "thickest_m")
@@ -52,7 +52,7 @@ class LawLimits:
         self.thickest_m = 0.0
 
     def check(self, motion: ToolMotion, engaged_m2: float, *, is_new: bool) -> None:
-        """Check the limits for the tool's present motion and its area in bone [m2].
+        """Check the limits for the tool's present motion; `engaged_m2` is its area in bone [m2].
 
         `is_new` is True if the tool or the bone has changed since the last response.
         """

@@ -147,8 +147,8 @@ class NeedleFields:
     elasticity
         Lame constants [Pa], shape (2,).
     near_m
-        Distance from the track's entry point within which another entry point belongs to the track
-        [m], for example the needle's diameter.
+        Largest distance [m] between the entry point of the track and another entry point that
+        belongs to the track, for example the needle's diameter.
     interval_s
         Time between two frames [s].
     """
@@ -177,7 +177,7 @@ class NeedleFields:
         interval_s: float,
         constants: Materials = Materials.cited,
     ) -> "NeedleFields":
-        """Return the fields of a block with the Young's modulus of liver from the cited sources.
+        """Return the fields of a block with the Young's modulus of liver in the cited sources.
 
         Poisson's ratio is the smallest value in the cited sources, because linear finite elements
         lock at larger values.
@@ -223,8 +223,8 @@ class NeedleFields:
     def forces_N(self, deflection_m: float, inserted_m: float) -> Array:
         """Return the nodal forces [N] that cause a deflection, shape (k, 3).
 
-        Down to the inserted length, the k nodes of the track are displaced by the deflection along
-        the needle. The needle is rigid, so the nodes are not displaced across it.
+        The track has k nodes. Nodes down to the inserted length move along the needle by the
+        deflection. The needle is rigid, so the nodes are not displaced across it.
         """
         moved = self._depths_m <= inserted_m + ON_TRACK_M
         forces = np.zeros((len(self.nodes), 3))

@@ -33,8 +33,8 @@ class Membrane:
     puncture_N
         Force of the tip at which the membrane breaks [N].
     hold_N
-        Elastic force [N] of the edge of the hole on the shaft after the puncture. The force resists
-        both insertion and withdrawal of the shaft.
+        Elastic force [N] that the edge of the hole exerts on the shaft after the puncture. The
+        force resists both insertion and withdrawal of the shaft.
     """
 
     name: str
@@ -117,7 +117,7 @@ class ShaftFriction:
 
 @dataclass(frozen=True, kw_only=True)
 class NeedleTissue:
-    """Needle parameters of an organ along the needle's axis.
+    """Parameters of an organ that determine the force on a needle along its axis.
 
     Attributes
     ----------

@@ -139,16 +139,16 @@ class _Equilibrium:
 
 @dataclass(eq=False)
 class TickState:
-    """State of a contact in one tick. A law is solved from this state while the ticks continue.
+    """State of a contact in one tick, for which the law is solved while the ticks continue.
 
     Attributes
     ----------
     nodal_forces_N, crept_N
-        Contact forces, and crept forces (contact forces after creep of the tissue, see the module)
-        [N], each of shape (t, 3).
+        Contact forces, and crept forces (forces that would cause the present displacement without
+        creep) [N], each of shape (t, 3).
     offset_m
-        Offset in the tick [m], shape (t, 3): displacement by the hyperelastic law minus
-        displacement by the compliance.
+        Offset in the tick [m], shape (t, 3): displacement according to the hyperelastic law minus
+        displacement computed with the compliance.
     compliance_m_N
         Compliance of the contact nodes [m/N], shape (3t, 3t). The solver may replace it.
     tip_m
@@ -176,7 +176,7 @@ def _displaced(contact: TickState, forces_N: Array) -> Array:
 
 
 class LawOffset:
-    """Offset of an organ: displacement by its hyperelastic law minus displacement by a compliance.
+    """Offset of an organ: hyperelastic displacement minus the displacement by a compliance matrix.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ class LawOffset:
         return min((time_s - self._changed_s) / self.interval_s, 1.0)
 
     def start_thread(self) -> None:
-        """Start the second thread, with the priority of the caller."""
+        """Start the thread that computes equilibria; it has the priority of the caller."""
         self._second_thread().submit(int)
 
     def _second_thread(self) -> Executor:
@@ -246,7 +246,7 @@ class LawOffset:
         return self._thread
 
     def stop_thread(self) -> None:
-        """End the second thread when it has found its present equilibrium."""
+        """End the second thread when it has finished the equilibrium that it is computing."""
         if self._thread is not None:
             self._thread.shutdown()
         self._thread = None
@@ -255,7 +255,7 @@ class LawOffset:
     def renew(
         self, time_s: float, depth_m: float, state: Callable[[], TickState], *, waits: bool
     ) -> TickState | None:
-        """Solve for the equilibrium at the end of an interval, now or in the second thread.
+        """Solve for an equilibrium if an interval has ended, in this call or in a second thread.
 
         Return the state for which an equilibrium was found, or None if no equilibrium was found in
         this call. If the result is a state, the caller must call `show`.
@@ -293,8 +293,8 @@ class LawOffset:
         time_s, depth_m
             Present time [s], and travel of the tool in contact [m].
         held_m
-            Offset [m], shape (t, 3), with which no node moves when the compliance is replaced. The
-            change starts from this offset. None if the compliance was not replaced.
+            Offset [m], shape (t, 3), that keeps every node in place when the compliance is
+            replaced. The change starts from this offset. None if the compliance was not replaced.
         """
         share = self._share(time_s)
         start, end = self._shown
@@ -309,11 +309,12 @@ class LawOffset:
         self._changed_s = time_s
 
     def solve(self, depth_m: float, contact: TickState) -> TickState:
-        """Solve for the equilibrium under the crept forces of a state, and return the state.
+        """Solve for the equilibrium under the crept forces of ``contact``, and return ``contact``.
 
-        Crept forces are the contact forces after creep of the tissue. If the organ does not relax,
-        the crept forces equal the contact forces. The linear algebra always uses one thread, so the
-        forces do not depend on the number of available threads.
+        Crept forces are the forces that would cause the present displacement if the tissue did not
+        creep. If the organ does not relax, the crept forces equal the contact forces. The linear
+        algebra always uses one thread, so the forces do not depend on the number of available
+        threads.
         """
         with one_blas_thread():
             return self._solve(depth_m, contact)
@@ -445,7 +446,7 @@ class LawOffset:
 
     @property
     def older(self) -> float:
-        """Share of the run time in which the offset was older than an interval.
+        """Share of the run time in which the offset was out of date by more than an interval.
 
         An equilibrium whose computation takes longer than an interval delays the next equilibrium.
         The share is the sum of these delays, divided by the sum of all intervals and delays.

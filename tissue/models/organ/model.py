@@ -80,13 +80,13 @@ class ContactSolution:
     path, basis_size
         Method used to compute the compliance of the touchable nodes, and number of vectors of a
         reduced basis. If the method is None, columns of the compliance are computed from the
-        organ's factor and stored for the next tool.
+        factorised stiffness and stored for the next tool.
     tolerance, sweeps
         Tolerance of the contact solver, and largest number of sweeps, see `SurfaceContact`. The
         defaults suit a tick of 1 ms.
     cores
-        Number of processor cores that share the projection of a shell's points onto the organ;
-        default: all cores.
+        Number of processor cores that project the points of a shell onto the organ; default: all
+        cores.
     """
 
     path: CompliancePath | None = None
@@ -97,7 +97,7 @@ class ContactSolution:
 
 
 class LiverModel:
-    """Soft organ under a tool on a given path.
+    """Soft organ that is touched by a tool on a given path.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class LiverModel:
     solution
         Options of the contact solver.
     interval_s
-        Time between two frames of displacement and stress [s]; infinite for no frames.
+        Time between two frames of displacement and stress [s]; infinity if no frames are wanted.
     step_s
         Length of a tick [s].
     report
@@ -232,8 +232,8 @@ class LiverModel:
     def state(self) -> State:
         """Return a copy of the state on which later ticks depend.
 
-        The factor of a hyperelastic law is shared, not copied. A pickled state does not contain the
-        factor.
+        The stiffness factorisation of a hyperelastic law is shared, not copied. A pickled state
+        does not contain the factorisation.
         """
         creep = [copied(each, HereditaryIntegral.STATE) for each in self._integrals()]
         crept = self._crept_N.copy()
@@ -356,7 +356,7 @@ class LiverModel:
         self._fields.notices.clear()
 
     def summary(self) -> dict[str, object]:
-        """Return statistics of the solutions of a hyperelastic law, for the summary of the run.
+        """Return solver statistics of a hyperelastic law, for the summary of the run.
 
         The dictionary is empty for a linear organ.
         """

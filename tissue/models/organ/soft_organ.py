@@ -52,8 +52,8 @@ class ToolPath:
 def _touchable_patch(space: Space, tool: ToolPath) -> tuple[Ints, Ints]:
     """Return surface nodes near a tool's path, and the triangles between these nodes.
 
-    The nodes have shape (t,), the triangles (f, 3). The triangles are indices into
-    the array of nodes.
+    The nodes are an array of shape (t,), and the triangles an array of shape (f, 3). The triangles
+    are indices into the array of nodes.
     """
     triangles = linear_triangles(space.faces)
     centres = space.nodes_m[triangles].mean(axis=1)
@@ -128,9 +128,9 @@ class OrganLaw:
     Attributes
     ----------
     law
-        Hyperelastic law of a cell with the factor 1.
+        Hyperelastic law of a cell whose entry in ``cell_factors`` is 1.
     cell_factors
-        Factor of the law's moduli in each cell, shape (m,).
+        Factor by which the law's moduli are multiplied in each cell, shape (m,).
     interval_s
         Time between two solutions of the law [s]; 0 for an organ that is solved only by
         `LiverModel.converge`.
@@ -212,7 +212,7 @@ class SoftOrgan:
 
     @cached_property
     def membrane(self) -> bsr_array | None:
-        """Stiffness of the capsule [N/m]; None without a capsule."""
+        """Stiffness of the capsule [N/m]; None if the organ has no capsule."""
         if self.capsule is None:
             return None
         return self.capsule.stiffness(self.space, self.space.faces)
@@ -243,11 +243,11 @@ class SoftOrgan:
         return Factor(self.body, np.unique(self.space.faces))
 
     def expect(self, near_m: Array, within_m: float) -> None:
-        """Request a stiffness factor that contains the compliance of the surface near some points.
+        """Request a stiffness factorisation that contains the surface compliance near some points.
 
         `near_m` are the points [m], shape (k, 3), and `within_m` is the largest distance of a node
-        from a point. The request has no effect if the factor was computed before. A press at
-        another place needs additional back-substitutions before its first step.
+        from a point. The request has no effect if the factor was computed before. If a tool presses
+        at another place, additional back-substitutions are needed before its first step.
         """
         surface = np.unique(self.space.faces)
         near = cKDTree(near_m).query(self.space.nodes_m[surface])[0] <= within_m
@@ -255,7 +255,7 @@ class SoftOrgan:
 
     @cached_property
     def rest(self) -> tuple[Array, Array]:
-        """Nodal load of the weight [N] and displacement under this load [m], each of shape (n, 3).
+        """Nodal forces of gravity [N] and the resulting displacement [m], each of shape (n, 3).
 
         If no density was given, load and displacement are zero.
         """
@@ -268,8 +268,8 @@ class SoftOrgan:
     def touchable(self, tool: ToolPath) -> tuple[Ints, Ints]:
         """Return surface nodes near a tool's path, and the triangles between these nodes.
 
-        The nodes have shape (t,), the triangles (f, 3). The triangles are indices into the array of
-        nodes.
+        The nodes are an array of shape (t,), and the triangles an array of shape (f, 3). The
+        triangles are indices into the array of nodes.
 
         Raises
         ------
@@ -297,8 +297,9 @@ class SoftOrgan:
     ) -> Array:
         """Return the compliance of t touchable nodes [m/N], shape (3t, 3t).
 
-        If `path` is None, columns of the compliance are computed from the organ's factor and stored
-        for the next tool. `basis_size` is the number of basis vectors for the path ``reduced``.
+        If `path` is None, columns of the compliance are computed from the factorised stiffness and
+        stored for the next tool. `basis_size` is the number of basis vectors if `path` is
+        ``reduced``.
 
         Raises
         ------

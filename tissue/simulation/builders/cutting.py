@@ -495,7 +495,7 @@ def tool_boxes(
 
 
 def element_spacing_m(cutter: Cutter, *, depth_m: float, tolerance: float) -> float:
-    """Return the distance between cutting elements [m] for a tolerated error of the force.
+    """Return the distance between cutting elements [m] at which the force error is `tolerance`.
 
     Parameters
     ----------

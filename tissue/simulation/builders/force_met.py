@@ -134,7 +134,7 @@ class Series(NamedTuple):
 
     @classmethod
     def of(cls, limits: DeviceParameters, constants: Materials) -> "Series":
-        """Return the compliance and the threshold for a device in a hand of the group `HELD_BY`."""
+        """Return compliance and threshold for a device that a user of the group `HELD_BY` holds."""
         limit = limits.stiffness_limit_N_m
         stiffness = limit if isfinite(limit) else USUAL_N_M
         hand = hand_parameters(HELD_BY, constants).stiffness_N_m
@@ -223,8 +223,8 @@ def chosen_scale(scene: Scene) -> ForceScale:
 def scale_for(met: Met, limits: DeviceParameters, series: Series) -> float:
     """Return the scale with the largest sensitivity, within the bounds `LEAST` and `MOST`.
 
-    The scale has two digits. The values in `met` must be forces, slopes and depths at the device
-    for a force scale of 1.
+    The scale is rounded down to two significant digits. The values in `met` must be forces, slopes
+    and depths at the device for a force scale of 1.
     """
     low = LEAST * limits.friction_N / met.force_N
     high = MOST * limits.force_limit_N / met.force_N

@@ -221,7 +221,7 @@ def device_motion(
     force_scale
         Newtons at the device for each newton at the tool, and a note on how the scale was chosen.
     rng
-        Random generator of the sensory noise of the person for whom the force is scaled.
+        Random generator of the sensory noise in the perceptual scaling of the force.
     allow_unstable
         Whether an unstable coupling is accepted.
 

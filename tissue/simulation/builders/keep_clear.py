@@ -35,7 +35,7 @@ MARGIN_M = 10e-3
 
 
 def watch(scene: Scene, parts: Parts, *, report: Progress) -> None:
-    """Add the objects that watch the tool to the parts of a milling scene.
+    """Add to the parts of a milling scene the two objects that watch the tool.
 
     The first object measures the distance from the structures that the scene names. The second
     object reports when the tool leaves the simulated region.
@@ -117,7 +117,7 @@ def _keep_clear(
 
 
 def require_structures(wanted: Wanted, anatomy: CutAnatomy) -> Mapping[str, Shape]:
-    """Check the wanted names, and return the procedural structures of an anatomy.
+    """Check the requested structure names, and return the procedural structures of an anatomy.
 
     Raises
     ------

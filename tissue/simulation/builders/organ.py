@@ -358,14 +358,14 @@ def _held(anatomy: Held, mesh: TetMesh) -> tuple[Nodes, str]:
 
 
 def hindrance(organ: Organ) -> str | None:
-    """Return the first key of an organ that hyperelastic laws do not support, or None."""
+    """Return the organ's first key that hyperelastic laws do not support, or None."""
     if organ.path != "condensed":
         return "path"
     return next((name for name in NOT_WITH if getattr(organ, name)), None)
 
 
 def with_cited_shape(organ: Organ, constants: Materials) -> Organ:
-    """Return an organ whose exponential law has a value for its rate.
+    """Return an organ in which the rate is set if its law is exponential.
 
     If the scene gives no rate, the rate is taken from the constants of the material.
     """

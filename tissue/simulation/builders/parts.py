@@ -187,7 +187,7 @@ def reach_of_tool(
 ) -> Corners:
     """Return a box around all positions of the tool that can touch bone, with a margin [m].
 
-    Parts of the smooth surface that never leave the guide hole, such as a peg, touch no bone.
+    Parts of the non-cutting surface that never leave the guide hole, such as a peg, touch no bone.
     """
     points = cutter.coarse_surface_m()
     if guide_hole is not None and cutter.has_smooth_surface:
@@ -217,10 +217,10 @@ def swept_box(shell: Array, motion: Motion, margin: float) -> Corners:
 
 
 def poses_along(motion: Motion, chosen: slice | Ints, count: int) -> tuple[Array, Array]:
-    """Return poses along a motion at which contact is searched for.
+    """Return poses along a motion at which the program checks for contact.
 
     The result is tips, shape (p, 3), in metres, and rotations, shape (p, 3, 3). The poses are
-    `count` poses at equal distances, and the corners of the motion that `chosen` selects.
+    `count` poses at equal distances, and the motion's corners with the indices `chosen`.
     """
     corners = motion.sweep_m()
     turns = motion.rotations()
@@ -271,7 +271,7 @@ def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
 
 
 def far_note(volume: VoxelVolume, points_mm: Sequence[Sequence[float]]) -> str | None:
-    """Return a note on the corner of a path that is farthest from the bone, or None.
+    """Return a note on the corner of a path with the largest distance from the bone, or None.
 
     The result is None if all corners are near the simulated bone, see `FAR_M`.
     """
@@ -343,7 +343,7 @@ def _on_one_side(points: Array, region: Corners) -> bool:
 
 
 def w_first_notice(volume: VoxelVolume, cutter: Cutter, motion: Motion, file: str) -> str | None:
-    """Return a sentence if the start pose suggests that w is the first quaternion column.
+    """Return a sentence if the start pose suggests that quaternions are in the order w, x, y, z.
 
     The result is None otherwise. The sentence is returned if the tool starts inside the bone, but
     the overlap is much smaller with w as the first column, see `MUCH_MORE`. A quaternion has unit

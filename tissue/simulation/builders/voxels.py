@@ -70,7 +70,7 @@ NO_SHAPE = {"kind", "guide_hole_diameter_mm", "guide_hole_depth_mm"}
 def volume_of(
     scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, str], report: Progress
 ) -> VoxelVolume:
-    """Return the voxels of bone that the tool can reach, with the guide hole."""
+    """Return the voxels of bone that the tool can reach; the guide hole is already removed."""
     spacing = scene.voxels.spacing_mm * 1e-3
     parameters = scene.bone
     hole = _guide_hole(scene, motion)
@@ -314,7 +314,7 @@ def _filled(parameters: Bone, surface: "Surface", site: "Site") -> Anatomy:
 
 
 def whole_image(parameters: BlockImage, *, spacing_mm: float, notes: dict[str, str]) -> VoxelVolume:
-    """Return the bone of an image that is not moved to a site.
+    """Return the bone of a whole image, without a site at the origin.
 
     The top of the bone is at z = 0.
     """

@@ -46,7 +46,7 @@ class PublishingProcess(WindowProcess):
     shows_tissue = False
 
     def note(self) -> str:
-        """Return text that completes a sentence about the published data."""
+        """Return the end of a sentence about the published data."""
         return f"published {int(self.frames)} times as {self.address}"
 
 
@@ -231,7 +231,7 @@ class SlicerProcess(WindowProcess):
         self._events_count[0] += 1
 
     def note(self) -> str:
-        """Return text that completes a sentence about the clients and their received messages."""
+        """Return the end of a sentence about the clients and the messages sent to them."""
         sent, clients, refused, ignored = self.arrays["counts"].tolist()
         words = [
             f"published at {self.address} by OpenIGTLink: {sent} messages to {clients} clients"
