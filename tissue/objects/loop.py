@@ -33,8 +33,8 @@ from tissue.objects.loop_settings import (
     LONGEST_S,
     JudgedDevice,
     LoopOptions,
+    checked_tool,
     extent,
-    fitted,
     judged_device,
     leave_out,
     made_from_of,
@@ -208,7 +208,7 @@ class Loop:
         else:
             leave_out({"cores": cores}, "without a scene")
             along = require_direction("axis", (0.0, 0.0, 1.0) if axis is None else axis)
-            fitting = fitted(tissue, tool, keep_clear)
+            fitting = checked_tool(tissue, tool, keep_clear)
             above = start_above(tissue, fitting, along) if start_mm is None else start_mm
             start_m = 1e-3 * require_vector("start_mm", above)
             if device is None:

@@ -285,7 +285,7 @@ def leave_out(given: Mapping[str, object], when: str, *, remedy: str = "remove i
             raise InputError(name, f"be left out {when}", repr(value)[:60], remedy)
 
 
-def fitted(
+def checked_tool(
     tissue: Bone | Organ, tool: Cutter | PressingTool | None, keep_clear: Structures | None
 ) -> Cutter | PressingTool:
     """Return the given tool after checks, or a default tool for the tissue."""

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 SLOPE_SHARE = 0.1
 """Share of the depth over which the stiffness is computed: the last 10 of 100 steps."""
-FAR = 0.1
+LARGEST_OFFSET_RATIO = 0.1
 """Largest accepted ratio of a point's distance from the surface to the organ's longest side.
 
 A point farther away is treated as a mistake, for example in the unit. The value is a design choice.
@@ -337,7 +337,7 @@ def press_at(
     # Adding 0.0 turns -0.0 into 0.0.
     nearest = in_brackets(np.round(1e3 * point, 3) + 0.0)
     found = f"the nearest point of the surface, {nearest} mm, is {1e3 * away:.3g} mm away"
-    if away > FAR * size:
+    if away > LARGEST_OFFSET_RATIO * size:
         raise InputError("at_mm", "lie on the surface", in_brackets(1000.0 * at_m, ".4g"), found)
     if away > NEAR_M:
         notes["place"] = found

@@ -150,7 +150,7 @@ class HeldTool(ABC):
         ``response`` is the response of the tissue in the last tick.
         """
 
-    def lands(self, response: Response) -> bool:
+    def has_entered(self, response: Response) -> bool:
         """Return True if the response at the new position requires another step in this tick.
 
         This is the case if a free tool has entered the tissue.
@@ -216,7 +216,7 @@ class PressingTool(HeldTool):
             tip[:] = device_m
         return tip
 
-    def lands(self, response: Response) -> bool:
+    def has_entered(self, response: Response) -> bool:
         """Return True if a free tool has entered the tissue."""
         return self._free and any(response.wrench[:3].tolist())
 
