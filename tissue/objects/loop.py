@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     import pandas
     import pyvista
 
-    from tissue.models.organ.model import LiverModel
+    from tissue.models.organ.model import OrganModel
 
 
 @suggests_arguments
@@ -190,7 +190,7 @@ class Loop:
         self._warned = set[str]()
         self._device: HandMotion | None = None
         self._session: PosedSession | None = None
-        self._organ: LiverModel | None = None
+        self._organ: OrganModel | None = None
         self._keep_ready: Callable[[Array], None] | None = None
         judged: JudgedDevice | None = None
         prepared: Region | None = None
@@ -369,7 +369,7 @@ class Loop:
         self._row.values_of_tick = self._loop.trace.rows[(self.ticks - 1) % self._most]
         if self._limits is None:
             return
-        passed = self._limits.passed
+        passed = self._limits.exceeded
         # A reset clears the limits, but there is only one warning for each limit.
         if not passed.keys() <= self._warned:
             warn_of([what for about, what in passed.items() if about not in self._warned])

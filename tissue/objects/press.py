@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyvista
 
-    from tissue.models.organ.model import LiverModel
+    from tissue.models.organ.model import OrganModel
     from tissue.models.organ.press import PressCurve
     from tissue.models.organ.soft_organ import SoftOrgan
 
@@ -475,13 +475,13 @@ def new_plotter(options: dict[str, Any]) -> pyvista.Plotter:
 
 def organ_around(
     organ: SoftOrgan, tool: PressingTool, start_m: Array, axis: Array, *, reach_m: float
-) -> LiverModel:
+) -> OrganModel:
     """Return the model of an organ for a loop, prepared for presses near the start of the tool.
 
     The tip of the tool may move from `start_m` by up to `reach_m` [m] in each direction
     perpendicular to `axis`, and by up to `reach_m` opposite to `axis`, into the organ.
     """
-    from tissue.models.organ.model import ContactSolution, LiverModel
+    from tissue.models.organ.model import ContactSolution, OrganModel
     from tissue.models.organ.soft_organ import ToolPath
     from tissue.simulation.builders.organ import REGION
 
@@ -497,4 +497,4 @@ def organ_around(
     )
     tips = start_m + np.column_stack([x, y, z]) @ turn.T
     path = ToolPath(tool.shape, tips, np.broadcast_to(turn, (len(tips), 3, 3)))
-    return LiverModel(organ, path, ContactSolution("condensed"))
+    return OrganModel(organ, path, ContactSolution("condensed"))

@@ -20,7 +20,7 @@ from tissue.fem.solvers.held_body import HeldBody, held_nodes
 from tissue.fem.space import Space
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.materials.prony import Prony
-from tissue.models.organ.compliance import CompliancePath, Factor
+from tissue.models.organ.compliance import ComplianceMethod, Factor
 from tissue.models.organ.probe import ProbeShape
 
 CONDENSING = "condensing the compliance to the surface that can be touched"
@@ -133,7 +133,7 @@ class OrganLaw:
         Factor of the law's moduli in each cell, shape (m,).
     interval_s
         Time between two solutions of the law [s]; 0 for an organ that is solved only by
-        `LiverModel.converge`.
+        `OrganModel.converge`.
     region_m
         Radius around the contact within which the law applies [m]. Outside this radius the organ is
         linear.
@@ -293,12 +293,13 @@ class SoftOrgan:
         return self.factor.compliance_between(nodes)
 
     def compliance(
-        self, touchable: Ints, path: CompliancePath | None, *, basis_size: int, report: Progress
+        self, touchable: Ints, method: ComplianceMethod | None, *, basis_size: int, report: Progress
     ) -> Array:
         """Return the compliance of t touchable nodes [m/N], shape (3t, 3t).
 
-        If `path` is None, columns of the compliance are computed from the organ's factor and stored
-        for the next tool. `basis_size` is the number of basis vectors for the path ``reduced``.
+        If `method` is None, columns of the compliance are computed from the organ's factor, and
+        stored for the next tool. `basis_size` is the number of basis vectors for the method
+        ``reduced``.
 
         Raises
         ------
@@ -306,9 +307,9 @@ class SoftOrgan:
             If the compliance would not fit into memory.
         """
         report(CONDENSING, 0.0)
-        if path is None:
+        if method is None:
             return self.compliance_between(touchable)
-        if path == "reduced":
+        if method == "reduced":
             return reduced_compliance_m_N(self.factor.solver, touchable, basis_size)
         self.factor.expect(touchable)
         return surface_compliance_m_N(

@@ -23,7 +23,7 @@ from tissue.show.figures.figure import (
 )
 from tissue.show.figures.force_time import FLICKER_S, spells
 from tissue.simulation.bone_surface import facing, tool_axes
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.run import Run
 from tissue.simulation.saved_fields import field_label
 from tissue.simulation.trace import NO_LAYER

@@ -20,7 +20,7 @@ from tissue.show.figures.figure import (
     torque_unit,
 )
 from tissue.simulation.bone_surface import tool_axes
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.run import Run
 from tissue.simulation.trace import NO_LAYER
 

@@ -42,6 +42,9 @@ ASIDE_DEG = 10.0
 POSES_TRIED = 200
 """Number of poses along a motion at which contact is searched for; chosen.
 
+With more poses, the preparation of a run takes longer. With fewer poses, contact between two poses
+may be missed.
+
 The margin `tissue.models.organ.soft_organ.MARGIN_EDGES` is added around the triangles in contact.
 """
 KEPT = 0.01
@@ -138,7 +141,7 @@ def pressed(
         If the organ cannot be meshed, if no node of the organ is held, or if the probe never
         touches the organ or starts inside it.
     """
-    from tissue.models.organ.model import ContactSolution, LiverModel
+    from tissue.models.organ.model import ContactSolution, OrganModel
     from tissue.models.organ.soft_organ import ToolPath
 
     anatomy = scene.anatomy
@@ -173,7 +176,7 @@ def pressed(
     report("assembling the stiffness", 0.0)
     tips, turns = poses_along(motion, kept, POSES_TRIED)
     with names_of_caller({"touch_edge_m": "anatomy.touch_edge_mm"}):
-        model = LiverModel(
+        model = OrganModel(
             soft,
             ToolPath(probe, tips, turns),
             ContactSolution(organ.path, basis_size=organ.basis_size, cores=cores),
