@@ -19,7 +19,7 @@ wp.set_module_options({"max_unroll": 1})
 
 VOXEL_PLANES = 3
 """Number of planes per shell point near voxels: the present plane and two earlier planes."""
-FAR = wp.float64(1.0e30)  # no distance yet [m]
+NO_DISTANCE = wp.float64(1.0e30)  # no distance yet [m]
 AHEAD = wp.float64(4.0)
 """Largest travel, in step lengths, by which a sleeping point may be checked early.
 
@@ -190,8 +190,8 @@ def collect(
     """
     early = wp.min(wanted, AHEAD * step)
     count = int(0)
-    worst = FAR
-    clear = FAR
+    worst = NO_DISTANCE
+    clear = NO_DISTANCE
     boxes = field.centre.shape[0]
     for i in range(shell.point.shape[0]):
         asleep = contacts.check_travel[i] - travel
@@ -200,7 +200,7 @@ def collect(
         else:
             arm = turn * shell.point[i]
             at = position + arm
-            bound = FAR
+            bound = NO_DISTANCE
             first = i * contacts.slots
             for s in range(boxes):
                 distance, normal = box_distance(field, s, at)

@@ -9,7 +9,7 @@ from scipy.sparse import bsr_array
 from scipy.spatial import cKDTree
 
 from meshes.base.arrays import Array, Ints
-from meshes.base.cache import Kept
+from meshes.base.cache import RecentResults
 from meshes.base.errors import InputError, in_brackets
 from meshes.base.progress import Progress
 from meshes.tets.regions import faces_of
@@ -88,8 +88,8 @@ def linear_triangles(faces: Ints) -> Ints:
     return faces[:, parts].reshape(-1, 3)
 
 
-_spaces: Kept[Space] = Kept(2)
-_patches: Kept[tuple[Ints, Ints]] = Kept(2)
+_spaces: RecentResults[Space] = RecentResults(2)
+_patches: RecentResults[tuple[Ints, Ints]] = RecentResults(2)
 """Cached surface nodes and triangles near a tool's path, keyed by mesh, order, tool and path.
 
 The cache saves time in a study in which every trial presses the same mesh.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.cache import Kept
+from meshes.base.cache import RecentResults
 from meshes.base.errors import InputError, by, names_of_caller
 from meshes.base.progress import Progress
 from meshes.base.text_tables import shown
@@ -61,7 +61,7 @@ were on the planned track. The value is an eighth of the width of the drawn bloc
 """
 
 
-_meshes: Kept[HeldMesh] = Kept(2)
+_meshes: RecentResults[HeldMesh] = RecentResults(2)
 """Cached meshes of procedural organs, keyed by the organ's parameters and the tool's path."""
 
 
