@@ -47,7 +47,7 @@ may be missed.
 
 The margin `tissue.models.organ.soft_organ.MARGIN_EDGES` is added around the triangles in contact.
 """
-KEPT = 0.01
+PATH_TOLERANCE = 0.01
 """Largest distance of a path's corners from the simplified path [edge lengths].
 
 A path is simplified because a recorded path has one corner per tick.
@@ -153,7 +153,7 @@ def pressed(
     # from the force with an eighth (docs/verification.md).
     edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm
     edge_m = 1e-3 * edge_mm
-    kept = kept_corners(motion.sweep_m(), 1e-3 * KEPT * edge_mm)
+    kept = kept_corners(motion.sweep_m(), 1e-3 * PATH_TOLERANCE * edge_mm)
     path = motion.sweep_m()[kept]
     meshed = partial(held_mesh, anatomy, path_m=path, touch_edge_m=edge_m, report=report)
     if isinstance(anatomy, LiverFile):
