@@ -235,8 +235,8 @@ def _bone_of_field(
     # A smaller piece is probably not the bone that the user wants.
     if other >= 0.1:
         notes.append(
-            f"The next piece has {other:.0%} of the size of the one that was taken: crop to "
-            "the bone that is meant."
+            f"Only the largest piece is used. The second largest has {other:.0%} of its size: crop "
+            "the image to the bone that is meant."
         )
     if cuts:
         notes.append(
@@ -350,13 +350,15 @@ def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints]
         sizes = voxel_ml * np.sort(np.bincount(pieces.ravel())[1:])[::-1]
         listed = ", ".join(f"{size:.3g}" for size in sizes[:_LISTED])
         more = "" if count <= _LISTED else f" and {counted(count - _LISTED, 'smaller one')}"
-        notes.append(f"{name}: {count} pieces of {listed} ml{more}, all of them kept clear of")
+        notes.append(
+            f"{name}: {count} pieces of {listed} ml{more}, all of them structures to keep clear of"
+        )
     cuts = len(image_cuts(smooth, threshold=0.0))
     if cuts:
         places = counted(cuts, "place")
         notes.append(
-            f"{name}: it ends at {places} at the edge of the image or of the crop, beyond "
-            "which it is unknown"
+            f"{name}: it is cut off at {places} by the edge of the image or of the crop, and is "
+            "unknown beyond this edge"
         )
     return image_triangles(smooth, threshold=0.0), tuple(notes)
 

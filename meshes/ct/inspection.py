@@ -290,7 +290,10 @@ def suggest_threshold(histogram: Histogram, *, is_hounsfield: bool) -> tuple[flo
         return level, f"threshold {level:g} by Otsu's criterion over all values"
     soft = histogram.peak(*_SOFT_PEAK_HU)
     if soft is None:
-        return 226.0, "threshold 226 HU, as common programs have it: no soft tissue was found"
+        return (
+            226.0,
+            "threshold 226 HU, the value of common programs, because no soft tissue was found",
+        )
     part = (values > soft) & (values < _MOST_HU)
     level = min(max(round(_otsu(values[part], counts[part])), LOWEST_HU), HIGHEST_HU)
     return level, f"threshold {level:g} HU by Otsu's criterion above soft tissue at {soft:g} HU"

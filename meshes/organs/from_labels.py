@@ -206,7 +206,7 @@ class LabelledOrgan:
         mesh = with_volume(mesh, organ_m3, within_m=1e-3 * edge)
         off = float(mesh.volumes_m3.sum()) / organ_m3 - 1.0
         mesh, repairs = repair_tets(mesh.nodes_m, mesh.cells, mesh.part, mesh.part_names)
-        found = (*describe(mesh), *repairs, f"{off:+.2%} of volume against the voxels.")
+        found = (*describe(mesh), *repairs, f"{off:+.2%} of volume relative to the voxels.")
         return mesh, self.notes | notes | {"mesh": " ".join(found)}
 
     def _with_parts(
@@ -350,9 +350,8 @@ def _ends(solid: Image) -> list[str]:
                 )
     if cut_mm2:
         notes.append(
-            f"The image cuts it off: {cut_mm2 / 100.0:.3g} cm2 of its surface lie in the "
-            "edge of the image, beyond "
-            "which nothing is known of it."
+            f"The image cuts it off: {cut_mm2 / 100.0:.3g} cm2 of its surface lie at the edge of "
+            "the image. The image does not show the organ beyond this edge."
         )
     return notes
 
@@ -389,14 +388,15 @@ def _pieces(name: str, mask: Flags, solid: Image, organ: str, notes: dict[str, s
         left = 1e-3 * solid.voxel_mm3 * int(sizes[small].sum())
         pieces_left = counted(int(small.sum()), "piece")
         remarks.append(
-            f"{pieces_left} of fewer than {_FEWEST_VOXELS} voxels, {left:.2g} ml, left to {organ}."
+            f"{pieces_left} of fewer than {_FEWEST_VOXELS} voxels, {left:.2g} ml, counted as "
+            f"{organ}."
         )
     shell = binary_dilation(kept) & ~kept
     outside = int(np.count_nonzero(shell & ~solid.values)) / max(int(np.count_nonzero(shell)), 1)
     if outside:
         remarks.append(
-            f"{outside:.0%} of its surface is that of {organ}: crop its label if it should "
-            "end before."
+            f"{outside:.0%} of its surface belongs to the surface of {organ}: crop its label if "
+            "it should end inside."
         )
     if remarks:
         notes[name] = " ".join(remarks)

@@ -206,8 +206,8 @@ def glenoid(**sizes: float) -> Anatomy:
     notes = {
         "face": f"{given.width_mm:g} x {given.height_mm:g} mm, concave, radius "
         f"{given.curvature_radius_mm:g} mm",
-        "subchondral plate": f"{given.subchondral_thickness_mm:g} mm on average, swing "
-        f"{100 * given.subchondral_variation:g} %",
+        "subchondral plate": f"{given.subchondral_thickness_mm:g} mm on average, with a "
+        f"variation of {100 * given.subchondral_variation:g} %",
         "vault": (
             f"{given.vault_depth_mm:g} mm deep, then cut off: the neck and the blade of the "
             "scapula are not modelled"

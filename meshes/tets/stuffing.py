@@ -501,5 +501,5 @@ def with_inclusion(
             share = off
             best = score
         laid_m += missing_m3 / area_m2
-    size = f"{1e6 * volume_m3:.3g} ml, in the mesh within {share:.1%}"
-    return made, f"{size} by edges of at most {1e3 * edge_m:.2g} mm"
+    size = f"{1e6 * volume_m3:.3g} ml (volume of the mesh: within {share:.1%})"
+    return made, f"{size}, edges of at most {1e3 * edge_m:.2g} mm"

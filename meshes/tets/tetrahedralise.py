@@ -84,7 +84,7 @@ def tetrahedralise(
     if pinched:
         sentences.append(
             f"The surface has {pinched} edges of more than two triangles, which the mesher "
-            "parts or thickens."
+            "separates or thickens."
         )
     envelope = min(_ENVELOPE * edge, _FARTHEST_M)
 
@@ -108,8 +108,8 @@ def tetrahedralise(
     off = float(mesh.volumes_m3.sum()) / volume - 1.0
     if abs(off) > _VOLUME_OFF:
         sentences.append(
-            f"The mesh encloses {100.0 * off:+.1f} % of volume against the surface: use "
-            "smaller edges."
+            f"The volume of the mesh differs by {100.0 * off:+.1f} % from the volume of the "
+            "surface: use smaller edges."
         )
     return mesh, (*sentences, *describe(mesh), *repairs)
 

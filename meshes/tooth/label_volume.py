@@ -255,7 +255,9 @@ def labelled_tooth(image: Image, *, labels: Mapping[int, str] = CARIES_LABELS) -
         held = "at the bone" if "bone" in volumes_mm3 else "at its lower third"
         sentences.append(f"No label for the ligament. To compute stress, the tooth is held {held}.")
     if "caries" in volumes_mm3:
-        sentences.append("The lesion is taken as half softened throughout: labels do not grade it.")
+        sentences.append(
+            "The whole lesion is assumed half softened, because labels have no grades."
+        )
     return LabelledTooth(placed, "pulp" in volumes_mm3, float(spacing_mm.min()), tuple(sentences))
 
 

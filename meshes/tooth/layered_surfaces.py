@@ -400,5 +400,5 @@ def _notes(surfaces: Mapping[str, Surface], note: str, socket_mm: float) -> dict
         held = "at the bone" if "bone" in surfaces else "at its lower third"
         notes["ligament"] = f"none given. To compute stress, the tooth is held {held}"
     if socket_mm > 0.0:
-        notes["bone"] = f"{socket_mm:g} mm around the ligament, added"
+        notes["bone"] = f"added by the program, {socket_mm:g} mm around the ligament"
     return notes

@@ -158,8 +158,8 @@ def molar(**sizes_mm: float) -> Anatomy:
             "chamber and canals of a young adult, a prior"
         ),
         "bone": (
-            f"one density, a block {sizes.socket_mm:g} mm beyond the roots; cortical plate and "
-            "marrow are one"
+            f"a block of one density, which reaches {sizes.socket_mm:g} mm beyond the roots; "
+            "cortical plate and marrow are not distinguished"
         ),
         "caries": f"{sizes.caries_depth_mm:g} mm deep, {sizes.caries_diameter_mm:g} mm wide"
         if lesion

@@ -140,7 +140,7 @@ def coupling_notes(run: AssessedRun, other: AssessedRun, name: str) -> Iterator[
 def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]:
     """Yield a sentence for each differing scene key that is neither in `TASK` nor in `FREE`."""
     if trainee is None or reference is None:
-        yield "a run has no scene.toml: whether both are of one tissue and tool is not known"
+        yield "a run has no scene.toml, so tissue and tool of the runs cannot be compared"
         return
     for key, mine, theirs in _differences(trainee, reference):
         part = key.partition(".")[0]

@@ -204,8 +204,8 @@ def cutting_forward(
     notes = [f"{subject}: {each}" for subject, each in record.notes.items()]
     if (inside := float(record.trace["removed_mm3"][0])) > 0.0:
         notes.append(
-            f"the tool began in {inside:.3g} mm3 of bone, which were taken away without a force: "
-            "what was cut before the log's first pose is not known"
+            f"at the first pose of the log, the tool overlaps {inside:.3g} mm3 of bone. This bone "
+            "was removed without a force, because earlier cuts are not known"
         )
     forward = forward_of(scene, record, free)
     return replace(forward, times_s=float(times_s[0]) + record.times_s, notes=tuple(notes))

@@ -116,7 +116,8 @@ class SceneFit(Fitted):
             weights = {name: weight for name, weight in combined.weights.items() if weight != 0.0}
             terms = [f"{weight:.2g} {words_of(name)[0]}" for name, weight in weights.items()]
             found.append(
-                "known better together, each over the median of its prior: "
+                "determined only as a combination of constants, each divided by the median of its "
+                "prior: "
                 f"{' + '.join(terms).replace('+ -', '- ')} = {combined.value:.4g} "
                 f"({combined.low:.4g} to {combined.high:.4g})"
             )
@@ -128,8 +129,9 @@ class SceneFit(Fitted):
         if self.gains and self.gains[0].nats > NATS:
             best = self.gains[0]
             found.append(
-                f"to measure next: {best.label}, which adds {best.nats:.2g} nats and brings the "
-                f"interval of {words_of(best.widest)[0]} to {best.shrinks_to:.0%} of that now"
+                f"to measure next: {best.label}. This adds {best.nats:.2g} nats and reduces the "
+                f"interval of {words_of(best.widest)[0]} to {best.shrinks_to:.0%} of its present "
+                "width"
             )
         return found
 

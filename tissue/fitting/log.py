@@ -268,7 +268,9 @@ def _merge(taken: dict[str, Array], notes: list[str]) -> None:
                 taken[name] = np.add.reduceat(taken[name], starts) / counts
             else:
                 taken[name] = taken[name][starts]
-        notes.append(f"{counted(equal, 'sample')} with the time of the one before are averaged")
+        notes.append(
+            f"{counted(equal, 'sample')} with the time of the previous sample are averaged"
+        )
 
 
 def _turns(taken: Mapping[str, Array], path: Path) -> Array | None:
@@ -389,7 +391,7 @@ def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]
         notes.append(
             f"poses come every {1e3 * period_s:.3g} ms, loads every {1e3 * load_period_s:.3g} ms: "
             f"the straight path between poses is off by {1e3 * bend_m:.2g} mm at the sharpest "
-            "corner, log them faster"
+            "corner. Record poses at a higher rate"
         )
     # third differences of independent noise have sqrt(20) times its standard deviation
     deviations_m = SD_PER_MAD * np.median(np.abs(np.diff(tips_m, 3, axis=0)), axis=0)
@@ -401,8 +403,8 @@ def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]
     shaken_m_s = np.sqrt(2.0) * noise_m / period_s
     if shaken_m_s > fastest_m_s:
         notes.append(
-            f"poses have noise of {1e3 * noise_m:.2g} mm, a speed of {1e3 * shaken_m_s:.3g} mm/s "
-            f"between neighbours where the tool moves at {1e3 * fastest_m_s:.3g} mm/s at most: "
-            "smooth them first"
+            f"poses have noise of {1e3 * noise_m:.2g} mm, which gives a speed of "
+            f"{1e3 * shaken_m_s:.3g} mm/s between neighbouring poses, but the tool moves at "
+            f"{1e3 * fastest_m_s:.3g} mm/s at most: smooth the poses first"
         )
     return notes

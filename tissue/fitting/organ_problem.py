@@ -265,8 +265,8 @@ def _on_finer_mesh(
         mixed[rows] = base[rows]
         parts.append(replace(forward, run_loads=mixed))
     return (replace(forward, run_loads=base), *parts), (
-        f"a mesh of {1.0 / FINER:.0%} of the edges changes the loads by {share:.1%}, which the "
-        "intervals contain"
+        f"a mesh with {1.0 / FINER:.0%} of the edge lengths changes the loads by {share:.1%}. The "
+        "intervals contain this change"
     )
 
 

@@ -314,17 +314,18 @@ class Scene(Part):
         kind = self.anatomy.kind
         wanted = ANATOMIES[kind].tool
         if not isinstance(self.tool, wanted):
-            names = ", ".join(
+            kinds = [
                 kind for part in tool_parts() if issubclass(part, wanted) for kind in kinds_of(part)
-            )
+            ]
+            names = kinds[0] if len(kinds) == 1 else f"one of {', '.join(kinds)}"
             got = self.tool.kind
-            remedy = "choose one of these"
+            remedy = f"choose {names}" if len(kinds) == 1 else "choose one of these"
             fitting = (
                 each for each in ANATOMIES.known if isinstance(self.tool, ANATOMIES[each].tool)
             )
             if (other := next(fitting, None)) is not None:
                 remedy += f', or set anatomy.kind = "{other}" for a {got}'
-            raise InputError("tool.kind", f"be one of {names} for a {kind}", got, remedy)
+            raise InputError("tool.kind", f"be {names} with anatomy.kind = {kind}", got, remedy)
         # The model of the wall is one spring at the lowest point of a ball.
         if kind == "wall" and self.tool.kind != "sphere-probe":
             raise InputError(

@@ -121,7 +121,7 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
     # The tolerance is half a tick, because durations are rounded to ticks.
     elif wanted_s >= path_s + 5e-4:
         found["path"] = (
-            f"not finished: the run ends at {path_s:g} s, the motion at {wanted_s:.6g} "
+            f"not finished: the run ends at {path_s:g} s, but the motion ends at {wanted_s:.6g} "
             f"s; set duration_s = {wanted_s:.6g}, or leave duration_s out to run the "
             "whole motion"
         )

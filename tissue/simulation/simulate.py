@@ -346,7 +346,7 @@ def _training_note(scene: Scene) -> dict[str, str]:
         return {}
     return {
         "predictor": f"trained on the built-in scene {scene.name}, which differs in "
-        f"{', '.join(other)}. Train one for this scene with 'tissue train', and set "
+        f"{', '.join(other)}. Train a predictor for this scene with 'tissue train', and set "
         "coupling.predictor_file to its file"
     }
 

@@ -51,10 +51,13 @@ from tissue.simulation.simulate import simulate
 from tissue.system.owned_folder import listed_files
 
 SAME_EVERYWHERE = "does not vary with the constants, because the path is given"
-NEEDS_RUNS = "depends on constants and needs a run of each sample (--each-run)"
-HOW = "the geometry was recorded once and reweighed, because the path is given"
+NEEDS_RUNS = "depends on the constants, but only runs of all samples give a band (--each-run)"
+HOW = (
+    "the geometry was recorded once and multiplied by the constants of each sample, because the "
+    "path is given"
+)
 HOW_RERUN = (
-    "every sample was run, because the force is not linear in the constants or moves the tool"
+    "every sample was run, because the force moves the tool or is not linear in the constants"
 )
 HOW_ASKED = "every sample was run, as requested"
 MOST_FAILED = 0.1

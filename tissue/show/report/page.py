@@ -23,7 +23,9 @@ def status_of(saved: SavedRun, text: Text) -> str:
     if saved.complete:
         return described
     problem = f": {text(saved.problem)}" if saved.problem else ""
-    sentence = f"This run is {text(saved.status)}{problem}. What follows is what it left."
+    sentence = (
+        f"This run is {text(saved.status)}{problem}. The report has the results that it wrote."
+    )
     return f'{described}<p class="verdict open">{sentence}</p>'
 
 
@@ -323,7 +325,7 @@ def band_lines(band: Summary) -> Iterator[str]:
         if ends["p95"] > 0.0:
             yield f"removed {layer}: 90 % {_between(ends)} mm³"
     for structure, figures in band.get("keep_clear", {}).items():
-        yield f"least distance to {structure}: 90 % {_between(figures['least_distance_mm'])} mm"
+        yield f"smallest distance to {structure}: 90 % {_between(figures['least_distance_mm'])} mm"
     for sentence, event in band.get("events", {}).items():
         yield (
             f"{sentence}: in {event['share']:.0%} of the samples, 90 % at "
@@ -341,8 +343,8 @@ def band_lines(band: Summary) -> Iterator[str]:
     ] - 0.5e-3:
         yield (
             f"samples end at different times, the first at {span['shortest_sample_s']:.3f} "
-            "s: loads have a band to "
-            f"{span['ends_s']:.3f} s, which {span['samples_at_end']} of {band['samples']} reach"
+            f"s: loads have a band up to {span['ends_s']:.3f} s, the time that "
+            f"{span['samples_at_end']} of {band['samples']} samples reach"
         )
 
 
