@@ -31,7 +31,7 @@ CORNERS = 8
 DEEP = 128 - 112
 AIR = 128 + 112  # 1.78 voxels outside: no corner lies in bone
 # stored boundary distance of 1.78 voxels: all corners of a cell lie in one layer
-FAR = 226
+ONE_LAYER = 226
 
 
 @wp.struct
@@ -63,7 +63,7 @@ def bone_at(
     found.density = float(density_of(word))
     if (near & 255) >= AIR:
         found.distance = 2.0
-    elif (near & 255) > DEEP or (near >> 8) < FAR:
+    elif (near & 255) > DEEP or (near >> 8) < ONE_LAYER:
         cell = cell_of(point)
         corners = corners_of(bricks.brick_of, cell, row)
         # No change of layer (255), and a surface distance one voxel (63 steps) farther out.
@@ -74,7 +74,7 @@ def bone_at(
             if corners.row[c] >= 0:
                 stored[c] = int(bricks.nearby[corners.row[c], corners.column[c]])
         found = distance_between(stored, cell.inside, found)
-        if (near >> 8) < FAR:
+        if (near >> 8) < ONE_LAYER:
             words = corner8i()
             mixed = int(0)
             for c in range(CORNERS):

@@ -38,7 +38,7 @@ class Bricks:
     nearby: Shorts2D
     remaining: Shorts2D
     swept: Shorts2D  # distance to the volume that the tool has swept, see `swept_steps`
-    middle: Shorts2D  # distance to the cuts up to the last call of `kernels.carving.book`
+    middle: Shorts2D  # distance to the cuts up to the last call of `kernels.carving.mark_older`
     older: Shorts2D  # distance to older cuts
     alive: Bits  # one bit for each block of 2 x 2 x 2 voxels that may hold material
     touched: Bytes  # flags LOST and REACHED

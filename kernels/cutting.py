@@ -37,7 +37,7 @@ from kernels.elements import (
     Elements,
     Lanes2D,
     Lanes3,
-    along,
+    dot_products,
     lanes3,
     lanes8,
     vectors_in,
@@ -169,11 +169,13 @@ def add_eight(
     # derivatives of advance and shift by the angular velocity
     advance_by_turn = crosses(point, normal)
     shift_by_turn = crosses(point, slope)
-    turn_advance = along(rates.turning, advance_by_turn)
-    turn_shift = along(rates.turning, shift_by_turn)
-    advance = along(rates.velocity, normal) + turn_advance
-    passing = along(rates.velocity, slope) + turn_shift
-    before = along(rates.velocity_before, slope) + along(rates.turning_before, shift_by_turn)
+    turn_advance = dot_products(rates.turning, advance_by_turn)
+    turn_shift = dot_products(rates.turning, shift_by_turn)
+    advance = dot_products(rates.velocity, normal) + turn_advance
+    passing = dot_products(rates.velocity, slope) + turn_shift
+    before = dot_products(rates.velocity_before, slope) + dot_products(
+        rates.turning_before, shift_by_turn
+    )
     cuts = wp.cw_mul(above(advance - rates.least * lanes8(1.0)), above(width - lanes8(TINY)))
     distance = found[eight, DISTANCE] - rates.tick * before
     share, partly, by_shift = share_below(distance, width, rates.tick, passing, cuts)

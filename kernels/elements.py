@@ -56,7 +56,7 @@ def vectors_in(rows: Lanes2D, eight: int, first: int):
 
 
 @wp.func
-def along(vector: wp.vec3, vectors: Lanes3):
+def dot_products(vector: wp.vec3, vectors: Lanes3):
     """Return the scalar products of one vector with eight vectors."""
     return vector[0] * vectors.x + vector[1] * vectors.y + vector[2] * vectors.z
 
@@ -159,7 +159,7 @@ def may_cut(
 def advance_of(elements: Elements, eight: int, travel: Travel):
     """Compute the speeds of eight elements along their normals, divided by the tool's speed."""
     normal = vectors_in(elements.lanes, eight, 3)
-    advance = along(travel.velocity, normal)
+    advance = dot_products(travel.velocity, normal)
     if travel.turns == 1:
         point = vectors_in(elements.lanes, eight, 0)
         turning = travel.turning
@@ -176,7 +176,7 @@ def advance_of(elements: Elements, eight: int, travel: Travel):
 def place_of(elements: Elements, eight: int, travel: Travel, axis: int):
     """Compute the coordinates [voxel] of eight elements along one ``axis`` of the voxel grid."""
     row = wp.vec3(travel.ex[axis], travel.ey[axis], travel.ez[axis])
-    return along(row, vectors_in(elements.lanes, eight, 0)) + lanes8(travel.tip[axis])
+    return dot_products(row, vectors_in(elements.lanes, eight, 0)) + lanes8(travel.tip[axis])
 
 
 @wp.func

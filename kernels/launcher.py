@@ -47,7 +47,7 @@ MOST_RATIO = 4.0
 Longer times are replaced by this limit. A single interruption therefore does not change the outcome
 of the trial.
 """
-KEPT = 4
+RECENT_GAINS = 4
 """Number of most recent gains that are used. Older gains may belong to another machine load."""
 SHORTEST_PERIOD, LONGEST_PERIOD = 32, 2048
 """Smallest and largest number of long runs between trials.
@@ -65,7 +65,7 @@ class SplitChoice:
     """
 
     def __init__(self) -> None:
-        self._gains = deque[float](maxlen=KEPT)
+        self._gains = deque[float](maxlen=RECENT_GAINS)
         self._period = SHORTEST_PERIOD
         self._due = 0
         self._trial: list[float] = []

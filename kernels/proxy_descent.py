@@ -134,7 +134,7 @@ class Reaction:
     force: wp.vec3d  # with friction [m]
     moment: wp.vec3d  # about the tool's origin [m2]
     centre: wp.vec3d  # centre of pressure, from the tool's origin in world axes [m]
-    rub: wp.vec3d  # friction alone [m]
+    tangential_force: wp.vec3d  # friction alone [m]
     arm: wp.vec3d  # point of action of the friction, from the tool's origin [m]
 
 
@@ -153,10 +153,10 @@ def first_touch(contacts: Contacts, count: int, shift: wp.vec3d, turn: wp.vec3d)
 
 
 @wp.func
-def reaction_of(contacts: Contacts, members: int, rub: wp.vec3d, arm: wp.vec3d):
-    """Return the resultant of the normal forces of the active set and the friction force ``rub``.
+def reaction_of(contacts: Contacts, members: int, tangential_force: wp.vec3d, arm: wp.vec3d):
+    """Return the resultant of normal and tangential (friction) forces of the active set.
 
-    The active set consists of the planes with force. The friction acts at ``arm``.
+    The active set consists of the planes with force. The tangential force acts at ``arm``.
     """
     pressing = int(0)
     force = wp.vec3d()
@@ -165,21 +165,21 @@ def reaction_of(contacts: Contacts, members: int, rub: wp.vec3d, arm: wp.vec3d):
     total = wp.float64(0.0)
     for m in range(members):
         c = contacts.member[m]
-        press = contacts.press[contacts.slot[c]]
-        if press > ZERO:
+        normal_force = contacts.normal_force[contacts.slot[c]]
+        if normal_force > ZERO:
             pressing += 1
-            force += press * contacts.normal[c]
-            moment += press * contacts.moment[c]
-            centre += press * contacts.arm[c]
-            total += press
+            force += normal_force * contacts.normal[c]
+            moment += normal_force * contacts.moment[c]
+            centre += normal_force * contacts.arm[c]
+            total += normal_force
     if total > ZERO:
         centre /= total
     reaction = Reaction()
     reaction.pressing = pressing
-    reaction.force = force + rub
-    reaction.moment = moment + wp.cross(arm, rub)
+    reaction.force = force + tangential_force
+    reaction.moment = moment + wp.cross(arm, tangential_force)
     reaction.centre = centre
-    reaction.rub = rub
+    reaction.tangential_force = tangential_force
     reaction.arm = arm
     return reaction
 
@@ -266,7 +266,7 @@ def constrain_motion(
             descent.shift = before.shift * touch
             descent.turn = before.turn * touch
             return descent, last, 0
-    members, solves, rub, arm = resolve(
+    members, solves, tangential_force, arm = resolve(
         contacts,
         count,
         settings.compliance,
@@ -274,11 +274,11 @@ def constrain_motion(
         settings.tolerance,
         before.shift,
         before.turn,
-        last.rub,
+        last.tangential_force,
         last.arm,
         before.near,
     )
-    reaction = reaction_of(contacts, members, rub, arm)
+    reaction = reaction_of(contacts, members, tangential_force, arm)
     descent.solves = before.solves + solves
     descent.shift = before.shift + reaction.force
     descent.turn = before.turn + settings.compliance * reaction.moment

@@ -101,7 +101,7 @@ def solve_set(
 def drop_member(contacts: Contacts, members: int, place: int):
     """Remove a plane from the active set (planes with force), and return the remaining number."""
     c = contacts.member[place]
-    contacts.press[contacts.slot[c]] = ZERO
+    contacts.normal_force[contacts.slot[c]] = ZERO
     contacts.chosen[c] = 0
     contacts.member[place] = contacts.member[members - 1]
     return members - 1
@@ -128,7 +128,7 @@ def shrink_set(
         share = wp.float64(1.0)
         leaves = int(-1)
         for m in range(members):
-            old = contacts.press[contacts.slot[contacts.member[m]]]
+            old = contacts.normal_force[contacts.slot[contacts.member[m]]]
             new = contacts.side[m, 0]
             # A plane would pull. Change the forces only until the first such force is 0, and remove
             # its plane.
@@ -141,7 +141,9 @@ def shrink_set(
                     leaves = m
         for m in range(members):
             slot = contacts.slot[contacts.member[m]]
-            contacts.press[slot] += share * (contacts.side[m, 0] - contacts.press[slot])
+            contacts.normal_force[slot] += share * (
+                contacts.side[m, 0] - contacts.normal_force[slot]
+            )
         if leaves >= 0:
             members = drop_member(contacts, members, leaves)
             blocked = int(1)
@@ -157,9 +159,9 @@ def moved_by_set(
     turned = turn
     for m in range(members):
         c = contacts.member[m]
-        press = contacts.press[contacts.slot[c]]
-        moved += press * contacts.normal[c]
-        turned += compliance * press * contacts.moment[c]
+        normal_force = contacts.normal_force[contacts.slot[c]]
+        moved += normal_force * contacts.normal[c]
+        turned += compliance * normal_force * contacts.moment[c]
     return moved, turned
 
 
@@ -291,10 +293,10 @@ def friction_force(
     arm = wp.vec3d()
     for m in range(members):
         c = contacts.member[m]
-        press = contacts.press[contacts.slot[c]]
-        total += press
-        along += press * contacts.normal[c]
-        arm += press * contacts.arm[c]
+        normal_force = contacts.normal_force[contacts.slot[c]]
+        total += normal_force
+        along += normal_force * contacts.normal[c]
+        arm += normal_force * contacts.arm[c]
     if total <= ZERO or wp.length_sq(along) == ZERO:
         return wp.vec3d(), wp.vec3d()
     arm = arm / total
@@ -349,7 +351,7 @@ def resolve(
     tolerance: wp.float64,  # [m]
     shift: wp.vec3d,  # shift to the pose of zero spring force [m]
     turn: wp.vec3d,  # [rad]
-    last_rub: wp.vec3d,  # last friction force [m] and its arm; start of the search
+    last_tangential_force: wp.vec3d,  # last friction force [m] and its arm; start of the search
     last_arm: wp.vec3d,
     near: wp.float64,  # change at which the friction force counts as found [m]
 ):
@@ -358,40 +360,42 @@ def resolve(
     Forces are divided by the stiffness of the coupling spring, so their unit is m. Return the
     number of planes in the active set, the number of linear systems solved, the friction force [m],
     and the arm [m] at which the friction force acts. The normal forces are written to
-    ``contacts.press``.
+    ``contacts.normal_force``.
     """
     members = int(0)
     for c in range(count):
         contacts.chosen[c] = 0
-        if contacts.press[contacts.slot[c]] > ZERO:
+        if contacts.normal_force[contacts.slot[c]] > ZERO:
             # One entry is reserved for a plane that joins.
             if members < MEMBERS - 1:
                 contacts.member[members] = c
                 contacts.chosen[c] = 1
                 members += 1
             else:
-                contacts.press[contacts.slot[c]] = ZERO
-    rub = last_rub
+                contacts.normal_force[contacts.slot[c]] = ZERO
+    tangential_force = last_tangential_force
     arm = last_arm
-    dragged = turn + compliance * wp.cross(arm, rub)
+    dragged = turn + compliance * wp.cross(arm, tangential_force)
     members, solves = normal_forces(
-        contacts, count, members, compliance, tolerance, shift + rub, dragged
+        contacts, count, members, compliance, tolerance, shift + tangential_force, dragged
     )
     if friction > ZERO:
         for k in range(FRICTION_ROUNDS):
-            before = rub
+            before = tangential_force
             arm_before = arm
-            rub, arm = friction_force(contacts, members, compliance, friction, shift, turn, before)
+            tangential_force, arm = friction_force(
+                contacts, members, compliance, friction, shift, turn, before
+            )
             if k > 0:  # halve the change, so that two sets do not alternate
-                rub = HALF * (rub + before)
+                tangential_force = HALF * (tangential_force + before)
                 arm = HALF * (arm + arm_before)
-            dragged = turn + compliance * wp.cross(arm, rub)
+            dragged = turn + compliance * wp.cross(arm, tangential_force)
             members, more = normal_forces(
-                contacts, count, members, compliance, tolerance, shift + rub, dragged
+                contacts, count, members, compliance, tolerance, shift + tangential_force, dragged
             )
             solves += more
-            if wp.length(rub - before) <= near:
+            if wp.length(tangential_force - before) <= near:
                 break
     if members == 0:
-        rub = wp.vec3d()
-    return members, solves, rub, arm
+        tangential_force = wp.vec3d()
+    return members, solves, tangential_force, arm

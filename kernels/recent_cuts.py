@@ -12,7 +12,16 @@ Rotations of the tool are included to second order.
 
 import warp as wp
 
-from kernels.elements import LANES, Elements, Lanes3, along, lanes3, lanes8, products, vectors_in
+from kernels.elements import (
+    LANES,
+    Elements,
+    Lanes3,
+    dot_products,
+    lanes3,
+    lanes8,
+    products,
+    vectors_in,
+)
 
 # Number of poses between two checks whether the remaining poses can be skipped; chosen.
 CHECKED = 8
@@ -122,7 +131,7 @@ def cut_straight(moved: wp.vec3, normal: Lanes3, half: lanes8):
 
     The tool was displaced by ``moved`` [m], without rotation.
     """
-    across = along(moved, normal)
+    across = dot_products(moved, normal)
     square = lanes8(moved[0] * moved[0] + moved[1] * moved[1] + moved[2] * moved[2])
     return across - wp.cw_mul(half, square - wp.cw_mul(across, across))
 

@@ -148,9 +148,9 @@ def cell_bounds(
     bound when this bound reaches `wanted`.
     """
     origin = medial.starts[segment]
-    along = medial.ends[segment] - origin
-    start = origin + cell.first * along
-    end = origin + cell.last * along
+    span = medial.ends[segment] - origin
+    start = origin + cell.first * span
+    end = origin + cell.last * span
     angle = cell.angle
     half_angle = cell.half_angle
     middle = HALF * (start + end)
@@ -250,9 +250,9 @@ def over_balls(
         # others.
         root = (begin + turn) % number
         start = medial.starts[root]
-        along = medial.ends[root] - start
-        long = wp.sqrt(along[0] * along[0] + along[1] * along[1])
-        middle = start + HALF * along
+        span = medial.ends[root] - start
+        long = wp.sqrt(span[0] * span[0] + span[1] * span[1])
+        middle = start + HALF * span
         moved = wp.length(middle - last_middle)
         wanted = smallest - medial.tolerance
         lower, upper, signed = cell_bounds(mesh, motion, medial, root, whole, moved, wanted)
@@ -273,7 +273,7 @@ def over_balls(
                 lowest = wp.min(lowest, cell.bound - medial.slack)
                 continue
             length = (cell.last - cell.first) * long
-            radius = wp.max(start[0] + cell.first * along[0], start[0] + cell.last * along[0])
+            radius = wp.max(start[0] + cell.first * span[0], start[0] + cell.last * span[0])
             split = HALF * (cell.first + cell.last)
             # Halve the longer side.
             split_angle = TWO * radius * cell.half_angle > length
@@ -283,7 +283,7 @@ def over_balls(
                 # around the axis.
                 moved = wp.float64(0.25) * (cell.last - cell.first) * long
                 if split_angle:
-                    middle_radius = start[0] + split * along[0]
+                    middle_radius = start[0] + split * span[0]
                     moved = TWO * middle_radius * wp.sin(wp.float64(0.25) * cell.half_angle)
                     part.half_angle = HALF * cell.half_angle
                     part.angle = cell.angle + wp.where(half == 0, -part.half_angle, part.half_angle)

@@ -53,7 +53,7 @@ def load(body: Body, patch: Patch, node: int, change: wp.vec3d):
 
 
 @wp.func
-def turn_of(
+def solve_triangle(
     body: Body,
     points: Points,
     patch: Patch,
@@ -221,7 +221,7 @@ def solve_contact(
         worst = wp.float64(0.0)
         largest = wp.float64(0.0)
         for k in range(lists_out.count[WORKING]):
-            step, moved = turn_of(
+            step, moved = solve_triangle(
                 body_out, points_out, patch_out, pose, friction, lists_out.working[k]
             )
             worst = wp.max(worst, step)

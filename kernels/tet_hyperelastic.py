@@ -45,7 +45,7 @@ wp.set_module_options({"max_unroll": 1})
 SWEEPS = 12
 """Largest number of sweeps of Jacobi's eigenvalue method. About five sweeps are needed."""
 EQUAL = wp.float64(1.0e-5)  # as in tissue.materials.hyperelasticity
-LEAST = wp.float64(1.0e-3)
+SMALLEST_EIGENVALUE = wp.float64(1.0e-3)
 """Smallest eigenvalue of the positive definite tangent, relative to the shear modulus."""
 
 
@@ -347,7 +347,7 @@ def stretch_stiffness(
         second = wp.cw_div(curvature, wp.outer(stretch, stretch)) - wp.diag(
             wp.cw_div(first, stretch)
         )
-        smallest = LEAST * moduli[cell, 1]
+        smallest = SMALLEST_EIGENVALUE * moduli[cell, 1]
         along, across = pair_moduli(stretch, first, second, is_definite, smallest)
         if is_definite == 1:
             second = definite(second, smallest)

@@ -51,9 +51,9 @@ def cell_gradients(
     u = nodes[cell_nodes[cell, 1]] - origin
     v = nodes[cell_nodes[cell, 2]] - origin
     w = nodes[cell_nodes[cell, 3]] - origin
-    along = wp.cross(v, w)
-    six = wp.dot(u, along)
-    first = along / six
+    normal = wp.cross(v, w)
+    six = wp.dot(u, normal)
+    first = normal / six
     second = wp.cross(w, u) / six
     third = wp.cross(u, v) / six
     gradient_out[cell, 0] = -(first + second + third)

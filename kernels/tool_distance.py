@@ -60,10 +60,10 @@ def on_line(shape: Doubles2D, k: int, p: wp.vec2d):
     ``p``. The radius is 1e9 m for a straight curve.
     """
     start = wp.vec2d(shape[k, 0], shape[k, 1])
-    along = wp.vec2d(shape[k, 2], shape[k, 3])
-    free = wp.dot(p - start, along)
+    direction = wp.vec2d(shape[k, 2], shape[k, 3])
+    free = wp.dot(p - start, direction)
     reach = wp.clamp(free, ZERO, shape[k, 4])
-    offset = p - start - reach * along
+    offset = p - start - reach * direction
     # 1e9 m: straight
     bend = wp.float64(1.0e9)
     # Beyond an end, the distance is curved around this end. Along the line, it is not curved.

@@ -103,7 +103,7 @@ def _code(make: Callable[[], Arrays]) -> str:
 Result = TypeVar("Result")
 
 
-class Kept(Generic[Result]):
+class RecentResults(Generic[Result]):
     """In-memory store of the most recently requested results.
 
     The store saves time, because the trials of a case study request the same meshes, voxels and

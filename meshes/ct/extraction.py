@@ -194,7 +194,7 @@ def by_label(image: Image, mask: Flags) -> BoneOfImage:
     field = gaussian_filter(mask.astype(np.float32), sigmas, mode="nearest")
     count = int(mask.sum())
     level = float(np.partition(field, field.size - count, axis=None)[field.size - count])
-    bone = _laid(part, field, level, other, count)
+    bone = _bone_of_field(part, field, level, other, count)
     if marked == count:
         return bone
     left_ml = 1e-3 * (marked - count) * float(np.prod(part.spacing_mm))
@@ -219,10 +219,12 @@ def by_threshold(image: Image, threshold: float) -> BoneOfImage:
     field[whole & (field <= threshold) & ~(binary_dilation(~whole) & ~piece)] = threshold + step
     apart = ~binary_dilation(whole)
     field[apart] = np.minimum(field[apart], threshold - step)
-    return _laid(part, field, threshold, other, int(whole.sum()))
+    return _bone_of_field(part, field, threshold, other, int(whole.sum()))
 
 
-def _laid(part: Image, field: Singles, level: float, other: float, voxels: int) -> BoneOfImage:
+def _bone_of_field(
+    part: Image, field: Singles, level: float, other: float, voxels: int
+) -> BoneOfImage:
     """Build the bone that consists of the voxels in which a field is above a level.
 
     `other` is the size of the second-largest piece, relative to the largest.

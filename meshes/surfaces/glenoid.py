@@ -61,7 +61,7 @@ class _Pear:
     upper_y: float
 
     @property
-    def sine(self) -> float:
+    def tangent_sine(self) -> float:
         """Sine of the angle between the tangent and the y axis."""
         return (self.lower_radius - self.upper_radius) / (self.upper_y - self.lower_y)
 
@@ -70,10 +70,10 @@ class _Pear:
 
         The formula is valid for y above the widest point of the lower circle.
         """
-        cosine = math.sqrt(1.0 - self.sine**2)
+        cosine = math.sqrt(1.0 - self.tangent_sine**2)
         # The common tangent of the two circles, up to the point where it touches the upper circle.
-        if y <= self.upper_y + self.upper_radius * self.sine:
-            return (self.lower_radius - (y - self.lower_y) * self.sine) / cosine
+        if y <= self.upper_y + self.upper_radius * self.tangent_sine:
+            return (self.lower_radius - (y - self.lower_y) * self.tangent_sine) / cosine
         return math.sqrt(max(self.upper_radius**2 - (y - self.upper_y) ** 2, 0.0))
 
     def distance(self, x: Floats, y: Floats) -> Floats:
@@ -81,7 +81,7 @@ class _Pear:
 
         The outline is the convex hull of two circles.
         """
-        sine = self.sine
+        sine = self.tangent_sine
         cosine = math.sqrt(1.0 - sine**2)
         across = np.abs(x)
         up = y - self.lower_y

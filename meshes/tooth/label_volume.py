@@ -199,7 +199,7 @@ class LabelledTooth:
             for plane, values in enumerate(labels):
                 at = np.argwhere(values == EMPTY)
                 index = np.column_stack([np.full(len(at), plane), at])
-                values[tuple(at[self.cavity.holds(back @ (index - start).T)].T)] = PULP
+                values[tuple(at[self.cavity.contains(back @ (index - start).T)].T)] = PULP
         preference = [TOOTH_LAYERS.index(name) for name in PRIORITY]
         shares = LabelShares.of(
             labels, preference, voxel_m=self.placed.spacing, start=start, turn=turn

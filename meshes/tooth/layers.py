@@ -218,11 +218,11 @@ def tooth_axes(enamel_m: Array, body_m: Array) -> ToothAxes:
     line = rise / height
     whole = np.concatenate([enamel_m, body_m])
     principal = np.linalg.eigh(np.cov(whole.T))[1]
-    along = principal.T @ line
-    chosen = int(np.argmax(np.abs(along)))
-    leaning = math.degrees(math.acos(min(abs(float(along[chosen])), 1.0)))
-    if abs(along[chosen]) > _MOST_LEANING:
-        up = principal[:, chosen] * np.sign(along[chosen])
+    cosines = principal.T @ line
+    chosen = int(np.argmax(np.abs(cosines)))
+    leaning = math.degrees(math.acos(min(abs(float(cosines[chosen])), 1.0)))
+    if abs(cosines[chosen]) > _MOST_LEANING:
+        up = principal[:, chosen] * np.sign(cosines[chosen])
         note = (
             f"principal axis, {leaning:.0f} degrees from the line between the middles of dentin "
             "and enamel"

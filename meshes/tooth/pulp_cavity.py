@@ -118,19 +118,19 @@ class PulpCavity:
         """
         index = np.nonzero(volume.fraction < FULL / 2)
         cavity = np.zeros(volume.shape, dtype=bool)
-        cavity[index] = self.holds(
+        cavity[index] = self.contains(
             np.stack([volume.centres_m(axis)[k] for axis, k in enumerate(index)])
         )
         return cavity
 
-    def holds(self, empty_m: Array) -> Flags:
+    def contains(self, points_m: Array) -> Flags:
         """Return flags, shape (n,), of the points that lie in the cavity.
 
         The points [m], shape (3, n), must be outside all layers.
         """
         from scipy.ndimage import map_coordinates
 
-        at = (empty_m - self.tooth.origin_m[:, None]) / self.tooth.spacing_m - 0.5
+        at = (points_m - self.tooth.origin_m[:, None]) / self.tooth.spacing_m - 0.5
         nearest = np.rint(at).astype(np.int64)
         held = np.asarray(
             ((nearest >= 0) & (nearest < np.array(self.inside.shape)[:, None])).all(axis=0)

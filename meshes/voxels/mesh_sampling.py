@@ -103,9 +103,11 @@ def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
         owner, nth = _repeated(pairs[part])
         point = owner + part.start
         tested = triangle[starts[at[point]] + nth]
-        met, height, sign = _met(corners, faces, tested, points[point, 0], points[point, 1])
-        owner = owner[met]
-        below = sign * (height <= points[point[met], 2])
+        crossed, height, sign = _crossings(
+            corners, faces, tested, points[point, 0], points[point, 1]
+        )
+        owner = owner[crossed]
+        below = sign * (height <= points[point[crossed], 2])
         tried = part.stop - part.start
         winding = np.bincount(owner, weights=below, minlength=tried)
         unclosed = np.bincount(owner, weights=sign, minlength=tried) != 0.0
@@ -197,11 +199,11 @@ def _crossed(
     triangle, within = _repeated(counts[:, 0] * counts[:, 1])
     i = first[triangle, 0] + within // counts[triangle, 1]
     j = first[triangle, 1] + within % counts[triangle, 1]
-    kept, height, sign = _met(corners, faces, triangle, x[i], y[j])
+    kept, height, sign = _crossings(corners, faces, triangle, x[i], y[j])
     return i[kept] * len(y) + j[kept], height, sign
 
 
-def _met(
+def _crossings(
     corners: Array,
     faces: Ints,
     triangle: Ints,

@@ -10,7 +10,7 @@ import numpy as np
 
 from kernels.revolution import EDGE_BEND
 from meshes.base.arrays import Array, Ints, Singles, lattice
-from meshes.base.cache import Kept
+from meshes.base.cache import RecentResults
 from meshes.base.errors import counted
 from meshes.base.hints import suggests_arguments
 from tissue.cutters.profile import Piece, Profile
@@ -253,8 +253,8 @@ class Cutter:
         )
 
 
-_tables: Kept[DistanceTable] = Kept(8)
-_shells: Kept[PointShell] = Kept(8)
+_tables: RecentResults[DistanceTable] = RecentResults(8)
+_shells: RecentResults[PointShell] = RecentResults(8)
 """Cache of point shells, keyed by profile and spacing of elements.
 
 `_tables` is the cache of distance tables, keyed by profile and spacing of voxels.

@@ -8,7 +8,7 @@ import numpy as np
 from meshes.base.arrays import Array, Singles
 from meshes.organs.liver import Nodule, slab, slab_base
 from tissue.environments.environment import ContactEnvironment, Entry
-from tissue.models.organ.model import ContactSolution, LiverModel
+from tissue.models.organ.model import ContactSolution, OrganModel
 from tissue.models.organ.probe import SphereProbe
 from tissue.models.organ.soft_organ import ToolPath
 from tissue.models.tissue_model import Response, ToolMotion
@@ -130,7 +130,7 @@ class Palpation(ContactEnvironment):
         self._touched = False
 
     @cached_property
-    def model(self) -> LiverModel:
+    def model(self) -> OrganModel:
         """Model of the slab under the fingertip; made at the first reset.
 
         The compliance of the slab is kept in a cache on disk.
@@ -156,7 +156,7 @@ class Palpation(ContactEnvironment):
         organ = material.organ(mesh, slab_base(mesh))
         path = ToolPath(SphereProbe(BALL_RADIUS_M), tips, turns)
         # One core is used, because environments run in parallel.
-        return LiverModel(organ, path, ContactSolution("condensed", cores=1))
+        return OrganModel(organ, path, ContactSolution("condensed", cores=1))
 
     def _prepare(self) -> None:
         bearing, turn = (np.deg2rad(self.drawn[name]) for name in ("bearing_deg", "turn_deg"))

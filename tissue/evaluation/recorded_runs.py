@@ -26,7 +26,7 @@ from tissue.scene.load import changed
 from tissue.scene.registry import GROUPS
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.builders.hand import hand_motion
 from tissue.simulation.builders.loop import judged_loop, loop_settings
 from tissue.simulation.builders.parts import Parts, motion_of

@@ -37,7 +37,7 @@ MOST_TRIALS = 10_000
 This is a hundred times the number for the shipped predictors, and would take days to run. A larger
 number is assumed to be a typing error.
 """
-HELD_OUT = 4
+VALIDATION_INTERVAL = 4
 """Number of successive runs of which one is used for validation, the others for training.
 
 Successive runs have hands of the three expertise groups in turn. Because 4 and 3 have no common
@@ -79,7 +79,7 @@ def train(
         )
     recorder = Recorder(cores=cores)
     device = device_parameters(trial(scene, 0).held.kind, scene.constants)
-    held_out = range(HELD_OUT - 1, trials, HELD_OUT)
+    held_out = range(VALIDATION_INTERVAL - 1, trials, VALIDATION_INTERVAL)
 
     def recorded(index: int, encoder_step_m: float | None = None) -> Recording:
         """Record a trial."""

@@ -18,7 +18,7 @@ from tissue.fitting.log import MeasuredLog
 from tissue.fitting.organ_problem import organ_problem
 from tissue.fitting.pictures import draw_log, draw_rows
 from tissue.fitting.posterior import Posterior, maximum_of, maximum_posterior
-from tissue.fitting.result import FAR, ConstantFit, Fitted, words_of
+from tissue.fitting.result import FAR_SD, ConstantFit, Fitted, words_of
 from tissue.fitting.table import SteadyTable, TableTarget, table_forward
 from tissue.fitting.target import OFFSET_S
 from tissue.scene.anatomy import CutAnatomy
@@ -85,7 +85,7 @@ class SceneFit(Fitted):
                 float(self.identified.contraction[at]),
                 state,
             )
-            is_doubtful = each.is_far or (state == "determined" and abs(self.offset_sd) > FAR)
+            is_doubtful = each.is_far or (state == "determined" and abs(self.offset_sd) > FAR_SD)
             found.append(replace(each, state="doubtful") if is_doubtful else each)
         return tuple(found)
 
@@ -98,7 +98,7 @@ class SceneFit(Fitted):
     def doubts(self) -> tuple[str, ...]:
         """See `Fitted`."""
         found = []
-        if abs(self.offset_sd) > FAR:
+        if abs(self.offset_sd) > FAR_SD:
             found.append(
                 f"the forces come {1e3 * self.posterior.nuisances.offset_s:.3g} ms after the "
                 f"poses, {abs(self.offset_sd):.1f} standard deviations of the "

@@ -22,7 +22,7 @@ The ratio is the standard deviation after the fit divided by the standard deviat
 
 The log narrows the interval of such a constant by less than 10 %.
 """
-DETERMINED = 0.5
+DETERMINED_CONTRACTION = 0.5
 """Ratio of standard deviations, as for `AT_PRIOR`, below which a constant is determined.
 
 The log then holds more than three times the information of the prior: 1 / 0.5**2 - 1 = 3.
@@ -65,7 +65,7 @@ class Combination:
     contraction
         Standard deviation of the combination after the fit, divided by its standard deviation
         before the fit.
-    of
+    exact_value
         Function that returns the exact value of the combination. The weighted sum is an
         approximation of this value. The argument of the function holds all constants in their own
         units, shape (p,). Only the constants in `weights` change the value.
@@ -76,7 +76,7 @@ class Combination:
     low: float
     high: float
     contraction: float
-    of: Callable[[Array], float]
+    exact_value: Callable[[Array], float]
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class Identified:
     @property
     def determined(self) -> tuple[str, ...]:
         """Single constants that the log determines."""
-        return tuple(np.array(self.names)[self.contraction < DETERMINED].tolist())
+        return tuple(np.array(self.names)[self.contraction < DETERMINED_CONTRACTION].tolist())
 
     @property
     def at_prior(self) -> tuple[str, ...]:
@@ -133,7 +133,7 @@ def identified(posterior: Posterior) -> Identified:
     directions = [
         (value, vector)
         for value, vector in zip(eigenvalues, vectors.T[::-1], strict=True)
-        if 1.0 / (1.0 + value) < DETERMINED**2 and np.max(vector**2) < ALONE
+        if 1.0 / (1.0 + value) < DETERMINED_CONTRACTION**2 and np.max(vector**2) < ALONE
     ]
     found = [
         _combination(posterior, measured @ vector, vector, value) for value, vector in directions

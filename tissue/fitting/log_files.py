@@ -197,7 +197,7 @@ def _structs(path: Path) -> LogColumns:
 
 def _drilling(path: Path) -> LogColumns:
     """Return the poses and loads of a volumetric_drilling recording; both have their own times."""
-    held = read_drilling(path, what="measured")
+    held = read_drilling(path, argument="measured")
     poses = np.hstack([1e3 * held.tips_m, held.quaternions])
     columns = {"time_s": held.times_s, **dict(zip(TIPS + QUATERNION, poses.T, strict=True))}
     if held.load_times_s is not None and held.loads is not None and len(held.load_times_s):

@@ -41,13 +41,13 @@ class OrganForward:
     moduli
         Indices of the moduli to which the loads are jointly proportional. Empty if the loads are
         not proportional to the moduli, see `tissue.fitting.organ_runs.organ_parameters`.
-    at
+    constants
         Constants of the run, shape (p,).
-    base
+    run_loads
         Loads of the run, shape (n, channels).
     slopes
         Coefficients, shape (n, channels, p), that multiply the difference between each constant and
-        its value in `at`. They are zero for the first modulus. For a relaxation time, the
+        its value in `constants`. They are zero for the first modulus. For a relaxation time, the
         difference of the logarithms is used.
     curved
         Coefficients, shape (n, channels, p, p), that multiply the squares and products of the
@@ -59,8 +59,8 @@ class OrganForward:
     channels: tuple[str, ...]
     times_s: Array
     moduli: tuple[int, ...]
-    at: Array
-    base: Array
+    constants: Array
+    run_loads: Array
     slopes: Array
     curved: Array
 
@@ -68,7 +68,7 @@ class OrganForward:
         """Return the load ratio between `x` and a run with scaled moduli, and that run's constants.
 
         All moduli in `x` are scaled by one factor. In the scaled run, the first modulus is equal to
-        the first modulus in `at`. If `moduli` is empty, the results are 1 and `x`.
+        the first modulus in `constants`. If `moduli` is empty, the results are 1 and `x`.
         """
         x = np.asarray(x, dtype=float)
         # the loads are not proportional to moduli: a run with x itself is needed
@@ -76,10 +76,10 @@ class OrganForward:
             return 1.0, x
         first = self.moduli[0]
         others = list(self.moduli)
-        scale = float(x[first] / self.at[first])
+        scale = float(x[first] / self.constants[first])
         same = x.copy()
         same[others] = x[others] / scale
-        same[first] = self.at[first]
+        same[first] = self.constants[first]
         return scale, same
 
     def loads(self, x: Array) -> Array:
@@ -100,10 +100,10 @@ class OrganForward:
         of_others = found[..., others] @ same[others]
         found *= scale
         found[..., others] /= scale
-        found[..., first] = (self._of_run(distance) - of_others) / self.at[first]
+        found[..., first] = (self._of_run(distance) - of_others) / self.constants[first]
         return found
 
-    def moved(self, at: Array, base: Array, *, learnt: float) -> "OrganForward":
+    def moved(self, constants: Array, run_loads: Array, *, learnt: float) -> "OrganForward":
         """Return a model with the loads of another run as its base, and with corrected slopes.
 
         With the corrected slopes, the present model predicts the loads of the other run (Broyden
@@ -111,35 +111,35 @@ class OrganForward:
 
         Parameters
         ----------
-        at, base
+        constants, run_loads
             Constants of the other run, and its loads.
         learnt
             Smallest step from the last run, in standard deviations of the priors, for which the
             slopes are corrected. On a shorter step, the change of the loads comes mainly from
             single mesh nodes that come into contact.
         """
-        distance = self.distance(at)
+        distance = self.distance(constants)
         middle = np.array([each.prior.value for each in self.parameters])
         widths = np.array([each.prior.slope(0.0) for each in self.parameters])
         step = distance / np.where(self._logarithmic, widths / middle, widths)
         slopes = self._slopes_at(distance)
         # a shorter step would explain single nodes that come into contact
         if np.linalg.norm(step) >= learnt:
-            missed = base - self._of_run(distance)
+            missed = run_loads - self._of_run(distance)
             along = np.divide(step**2, distance, out=np.zeros_like(step), where=distance != 0.0)
             slopes = slopes + missed[..., None] * along / (step @ step)
-        return replace(self, at=at, base=base, slopes=slopes)
+        return replace(self, constants=constants, run_loads=run_loads, slopes=slopes)
 
     def distance(self, x: Array) -> Array:
         """Return the difference between `x` and the constants of the run, shape (p,)."""
-        return np.where(self._logarithmic, np.log(x / self.at), x - self.at)
+        return np.where(self._logarithmic, np.log(x / self.constants), x - self.constants)
 
     @cached_property
     def _logarithmic(self) -> Array:
         return np.array([each.name.endswith("_s") for each in self.parameters])
 
     def _of_run(self, distance: Array) -> Array:
-        return np.asarray(self.base + (self.slopes + self.curved @ distance) @ distance)
+        return np.asarray(self.run_loads + (self.slopes + self.curved @ distance) @ distance)
 
     def _slopes_at(self, distance: Array) -> Array:
         return np.asarray(self.slopes + 2.0 * self.curved @ distance)
@@ -255,16 +255,16 @@ def _on_finer_mesh(
     """
     forward = found.forward
     try:
-        base = runs.of(finer_scene(scene), _named(forward.parameters, forward.at))
+        base = runs.of(finer_scene(scene), _named(forward.parameters, forward.constants))
     except InputError as refusal:
         return None, f"intervals are without the error of the mesh: {refusal}"
-    share = float(np.linalg.norm(base - forward.base) / np.linalg.norm(base))
+    share = float(np.linalg.norm(base - forward.run_loads) / np.linalg.norm(base))
     parts = []
     for rows in np.array_split(np.arange(len(base)), PARTS):
-        mixed = forward.base.copy()
+        mixed = forward.run_loads.copy()
         mixed[rows] = base[rows]
-        parts.append(replace(forward, base=mixed))
-    return (replace(forward, base=base), *parts), (
+        parts.append(replace(forward, run_loads=mixed))
+    return (replace(forward, run_loads=base), *parts), (
         f"a mesh with {1.0 / FINER:.0%} of the edge lengths changes the loads by {share:.1%}. The "
         "intervals contain this change"
     )
@@ -335,7 +335,7 @@ def _next(forward: OrganForward, posterior: Posterior, spread: Array) -> tuple[A
     _, same = forward.reduced(x_of(posterior.mean_z))
     wanted, last = (
         np.array([prior.z(x) for prior, x in zip(posterior.priors, of, strict=True)])
-        for of in (same, forward.at)
+        for of in (same, forward.constants)
     )
     at = x_of(np.clip(wanted, -FARTHEST, FARTHEST))
     return at, float(np.max(np.abs(wanted - last) / spread))
@@ -348,13 +348,15 @@ def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> Org
     otherwise. Two constants whose standard deviations exceed `WIDE` are also changed together,
     because the posterior may have a ridge along both.
     """
-    places = [at for at in range(len(forward.at)) if at not in forward.moduli[:1]]
+    places = [at for at in range(len(forward.constants)) if at not in forward.moduli[:1]]
     if not places:
         return forward
-    reach = np.full(len(forward.at), FIRST_STEP) if spread is None else np.clip(spread, *STEPS)
+    reach = (
+        np.full(len(forward.constants), FIRST_STEP) if spread is None else np.clip(spread, *STEPS)
+    )
 
     def stepped(*moves: tuple[int, float]) -> Array:
-        x = forward.at.copy()
+        x = forward.constants.copy()
         for at, sign in moves:
             prior = forward.parameters[at].prior
             x[at] = prior.x(prior.z(x[at]) + sign * reach[at])
@@ -371,7 +373,7 @@ def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> Org
     products = pairs if spread is None else [*((at, at) for at in places), *pairs]
     terms = [(at,) for at in places] + products
     design = np.column_stack([distances[:, list(term)].prod(axis=1) for term in terms])
-    coefficients = np.tensordot(np.linalg.inv(design), found - forward.base, 1)
+    coefficients = np.tensordot(np.linalg.inv(design), found - forward.run_loads, 1)
     slopes = np.zeros_like(forward.slopes)
     curved = np.zeros_like(forward.curved)
     slopes[..., places] = np.moveaxis(coefficients[: len(places)], 0, -1)

@@ -48,7 +48,7 @@ FINER = 1.5
 The force converges with second order, so the difference is more than half of the error of the
 coarser mesh.
 """
-DETERMINED = 2.0
+DETERMINED_RATIO = 2.0
 """Largest ratio of the ends of an interval for which a constant counts as determined."""
 SEED = 42
 POOR = 0.03
@@ -401,7 +401,7 @@ def _constant(parameter: Parameter, values: tuple[float, Array, float], count: i
     lowest, value, highest = np.exp([best - below, best, best + above]).tolist()
     ends = np.asarray(prior.z([lowest, value, highest, prior.low, prior.high])).tolist()
     spread = (ends[2] - ends[0]) / (2.0 * norm.ppf(0.95))
-    state = "determined" if highest < DETERMINED * lowest else "narrowed"
+    state = "determined" if highest < DETERMINED_RATIO * lowest else "narrowed"
     return ConstantFit(
         parameter.name,
         prior,

@@ -18,12 +18,13 @@ NUISANCES = ("density.", KEYS)
 
 Such numbers are not constants of a material.
 """
-FAR = 3.0
+FAR_SD = 3.0
 FAR_TIMES = 10.0
 """Factor above or below the cited range beyond which a value contradicts its prior.
 
-This limit is needed in addition to `FAR`, because some priors have a heavy tail towards zero. `FAR`
-is a limit in standard deviations of the prior. By chance, 0.3 % of the constants lie beyond it.
+This limit is needed in addition to `FAR_SD`, because some priors have a heavy tail towards zero.
+`FAR_SD` is a limit in standard deviations of the prior. By chance, 0.3 % of the constants lie
+beyond it.
 """
 UNIT_TIMES = 100.0
 """Smallest factor above or below the cited range that suggests a wrong unit.
@@ -82,7 +83,7 @@ class ConstantFit:
             self.value > FAR_TIMES * self.prior.high > 0.0
             or self.value < self.prior.low / FAR_TIMES
         )
-        return abs(self.z[1]) > FAR or is_outside
+        return abs(self.z[1]) > FAR_SD or is_outside
 
     @property
     def doubt(self) -> str:

@@ -265,11 +265,11 @@ class HandMotion(Motion):
         turns = self._scripted.rotations()
         return turns if self._stray == 0.0 else np.concatenate([turns] * 5)
 
-    def meet(self, tissue: TissueModel) -> None:
+    def set_tissue(self, tissue: TissueModel) -> None:
         """Set the tissue that a cutting tool cuts."""
         tissue = getattr(tissue, "milling", tissue)
         if isinstance(self.tool, CuttingTool) and isinstance(tissue, CutTissue):
-            self.tool.meet(tissue, self._start)
+            self.tool.set_tissue(tissue, self._start)
 
     def begin(self, motion: ToolMotion) -> None:
         """Place the tool at the start of the scripted motion."""
@@ -307,7 +307,7 @@ class HandMotion(Motion):
 
         The method returns True if it has moved the tool.
         """
-        if self._sample is None or not self.tool.lands(response):
+        if self._sample is None or not self.tool.has_entered(response):
             return False
         self._follow(self._sample, response, motion)
         return True

@@ -75,16 +75,16 @@ class PoseFile:
     ----------
     path
         Path of the file.
-    what
+    argument
         Name of the file in error messages, such as ``motion.file``.
     """
 
     path: Path
-    what: str
+    argument: str
 
     def error(self, requirement: str, got: object, remedy: str) -> InputError:
         """Return the error for a value in the file."""
-        return InputError(self.what, requirement, f"{got} in {self.path}", remedy)
+        return InputError(self.argument, requirement, f"{got} in {self.path}", remedy)
 
     def require_unit(self, quaternions: Array) -> None:
         """Check that quaternions (x, y, z, w), shape (n, 4), have unit length."""
@@ -97,7 +97,7 @@ class PoseFile:
             )
 
 
-def read_drilling(path: Path, *, what: str) -> DrillingRecording:
+def read_drilling(path: Path, *, argument: str) -> DrillingRecording:
     """Read a recording of volumetric_drilling in the present or the older layout.
 
     The recorded pose is at the centre of the burr, with x towards the shank. If the file contains
@@ -111,7 +111,7 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
     ----------
     path
         HDF5 file.
-    what
+    argument
         Name of the file in error messages, such as ``motion.file``.
 
     Raises
@@ -123,7 +123,7 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
         import h5py
     except ImportError:
         raise InputError(
-            what,
+            argument,
             "be readable with the installed packages",
             "a file that needs h5py",
             f"run {install_command('h5')}",
@@ -131,12 +131,12 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
     require_regular(path)
     try:
         with h5py.File(path, "r") as file:
-            return _drilling(file, PoseFile(path, what))
+            return _drilling(file, PoseFile(path, argument))
     except (InputError, MemoryError):
         raise
     except Exception as problem:  # h5py raises many kinds of errors for a damaged file
         raise InputError(
-            what,
+            argument,
             "be a whole HDF5 file",
             f"{path} ({' '.join(str(problem).split())})",
             "export it again",

@@ -69,7 +69,7 @@ class Motion(Protocol):
         """Return the rotations from tool to world at the points of `sweep_m`, shape (n, 3, 3)."""
         ...
 
-    def meet(self, tissue: TissueModel) -> None:
+    def set_tissue(self, tissue: TissueModel) -> None:
         """Receive the tissue model before the start of the motion."""
         return
 

@@ -156,10 +156,11 @@ class Comparison:
         Parameters
         ----------
         over
-            ``time``, or ``depth``: the depth of the tip below the point of first contact, for a needle
-            along its axis. If `over` is ``depth``, only ticks in which the tip is deeper than ever
-            before are drawn. The default is ``depth`` if, in every run, the depth exceeds half of
-            the length of the tip's path in contact. A needle that is withdrawn is drawn over time.
+            ``time``, or ``depth``: the depth of the tip below the point of first contact, for a
+            needle along its axis. If `over` is ``depth``, only ticks in which the tip is deeper
+            than ever before are drawn. The default is ``depth`` if, in every run, the depth exceeds
+            half of the length of the tip's path in contact. A needle that is withdrawn is drawn
+            over time.
 
         Returns
         -------

@@ -81,8 +81,8 @@ def cut_along(
     loop.close()
     bone.left_at = tips[-1], turns[-1].as_matrix()
     cut = Cut.of(loop, poses.times_s, removed_before_m3=before)
-    cut.notes |= model.limits.passed
-    warn_of(list(model.limits.passed.values()))
+    cut.notes |= model.limits.exceeded
+    warn_of(list(model.limits.exceeded.values()))
     return cut
 
 

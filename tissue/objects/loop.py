@@ -33,8 +33,8 @@ from tissue.objects.loop_settings import (
     LONGEST_S,
     JudgedDevice,
     LoopOptions,
+    checked_tool,
     extent,
-    fitted,
     judged_device,
     leave_out,
     made_from_of,
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     import pandas
     import pyvista
 
-    from tissue.models.organ.model import LiverModel
+    from tissue.models.organ.model import OrganModel
 
 
 @suggests_arguments
@@ -191,7 +191,7 @@ class Loop:
         self._warned = set[str]()
         self._device: HandMotion | None = None
         self._session: PosedSession | None = None
-        self._organ: LiverModel | None = None
+        self._organ: OrganModel | None = None
         self._keep_ready: Callable[[Array], None] | None = None
         judged: JudgedDevice | None = None
         prepared: Region | None = None
@@ -216,7 +216,7 @@ class Loop:
         else:
             leave_out({"cores": cores}, "without a scene")
             along = require_direction("axis", (0.0, 0.0, 1.0) if axis is None else axis)
-            fitting = fitted(tissue, tool, keep_clear)
+            fitting = checked_tool(tissue, tool, keep_clear)
             above = start_above(tissue, fitting, along) if start_mm is None else start_mm
             start_m = 1e-3 * require_vector("start_mm", above)
             if device is None:
@@ -378,7 +378,7 @@ class Loop:
         self._row.values_of_tick = self._loop.trace.rows[(self.ticks - 1) % self._most]
         if self._limits is None:
             return
-        passed = self._limits.passed
+        passed = self._limits.exceeded
         # A reset clears the limits, but there is only one warning for each limit.
         if not passed.keys() <= self._warned:
             warn_of([what for about, what in passed.items() if about not in self._warned])

@@ -30,7 +30,7 @@ from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Output, Scene
 from tissue.scene.used_constants import used_of_device
 from tissue.simulation.builders.arguments import given_note, stated
-from tissue.simulation.builders.force_met import Met, Series, scale_for, slot_force_N
+from tissue.simulation.builders.force_scale import ExpectedForce, Series, scale_for, slot_force_N
 from tissue.simulation.builders.hand import device_motion
 from tissue.simulation.builders.loop import LoopSettings, sampled
 from tissue.simulation.builders.parts import require_device, require_stated_rate
@@ -130,7 +130,7 @@ def judged_device(
         assert isinstance(tool, Cutter)
         usual_N = slot_force_N(tissue.voxel_bone, tool)
         series = Series.of(settings.limits, settings.constants)
-        scale = scale_for(Met(usual_N), settings.limits, series)
+        scale = scale_for(ExpectedForce(usual_N), settings.limits, series)
         scale_note = (
             f", chosen for the {usual_N:.3g} N of a slot a quarter of the cutter deep at 2 mm/s"
         )
@@ -285,7 +285,7 @@ def leave_out(given: Mapping[str, object], when: str, *, remedy: str = "remove i
             raise InputError(name, f"be left out {when}", repr(value)[:60], remedy)
 
 
-def fitted(
+def checked_tool(
     tissue: Bone | Organ, tool: Cutter | PressingTool | None, keep_clear: Structures | None
 ) -> Cutter | PressingTool:
     """Validate the tool and return it, or return the default tool for the tissue."""

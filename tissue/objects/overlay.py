@@ -35,9 +35,12 @@ WIDTHS = 2.2, 1.0
 """Line widths of the first and last curve [points]; wide curves stay visible below thin ones."""
 THRUST, ACROSS_X, ACROSS_Y, TORQUE = range(4)
 FORCES = ("thrust / N", "force across\nthe tool, x / N", "force across\nthe tool, y / N")
-LOW = 0
-HIGH = -1
-"""Index of the 95 % quantile in an uncertainty band; `LOW` is the index of the 5 % quantile."""
+LOWER_QUANTILE = 0
+UPPER_QUANTILE = -1
+"""Index of the 95 % quantile in an uncertainty band.
+
+`LOWER_QUANTILE` is the index of the 5 % quantile.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,8 +261,10 @@ def _band_ends(
     places = [at[2], at[0], at[1], 4 + at[2] if about_axis else 7]
     signs = np.array([sign[2], sign[0], sign[1], sign[2] if about_axis else 1.0])
     # a band may end before its run
-    rows = rows[rows < len(band.quantiles[LOW])]
-    ends = [signs * band.quantiles[end][rows][:, places] for end in (LOW, HIGH)]
+    rows = rows[rows < len(band.quantiles[LOWER_QUANTILE])]
+    ends = [
+        signs * band.quantiles[end][rows][:, places] for end in (LOWER_QUANTILE, UPPER_QUANTILE)
+    ]
     return np.minimum(*ends), np.maximum(*ends)
 
 

@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyvista
 
-    from tissue.models.organ.model import LiverModel
+    from tissue.models.organ.model import OrganModel
     from tissue.models.organ.press import PressCurve
     from tissue.models.organ.soft_organ import SoftOrgan
 
 SLOPE_SHARE = 0.1
 """Share of the depth over which the stiffness is computed: the last 10 of 100 steps."""
-FAR = 0.1
+LARGEST_OFFSET_RATIO = 0.1
 """Largest accepted ratio of a point's distance from the surface to the organ's longest side.
 
 A point farther away is treated as a mistake, for example in the unit. The value is a design choice.
@@ -337,7 +337,7 @@ def press_at(
     # Adding 0.0 turns -0.0 into 0.0.
     nearest = in_brackets(np.round(1e3 * point, 3) + 0.0)
     found = f"the nearest point of the surface, {nearest} mm, is {1e3 * away:.3g} mm away"
-    if away > FAR * size:
+    if away > LARGEST_OFFSET_RATIO * size:
         raise InputError("at_mm", "lie on the surface", in_brackets(1000.0 * at_m, ".4g"), found)
     if away > NEAR_M:
         notes["place"] = (
@@ -479,13 +479,13 @@ def new_plotter(options: dict[str, Any]) -> pyvista.Plotter:
 
 def organ_around(
     organ: SoftOrgan, tool: PressingTool, start_m: Array, axis: Array, *, reach_m: float
-) -> LiverModel:
+) -> OrganModel:
     """Return the model of an organ for a loop, prepared for presses near the start of the tool.
 
     The tip may move up to `reach_m` [m] from `start_m` in each direction perpendicular to `axis`,
     and up to `reach_m` into the organ (opposite to `axis`).
     """
-    from tissue.models.organ.model import ContactSolution, LiverModel
+    from tissue.models.organ.model import ContactSolution, OrganModel
     from tissue.models.organ.soft_organ import ToolPath
     from tissue.simulation.builders.organ import REGION
 
@@ -501,4 +501,4 @@ def organ_around(
     )
     tips = start_m + np.column_stack([x, y, z]) @ turn.T
     path = ToolPath(tool.shape, tips, np.broadcast_to(turn, (len(tips), 3, 3)))
-    return LiverModel(organ, path, ContactSolution("condensed"))
+    return OrganModel(organ, path, ContactSolution("condensed"))

@@ -49,7 +49,7 @@ FIRST_FIGURES = ("peak_force_N", "mean_force_N", "removed_mm3", "tick_median_us"
 OF_MACHINE = ("tick_median_us", "tick_99_percent_us", "missed_deadlines")
 NO_RESULTS = (*OF_MACHINE, "simulated_s", "left_region_s")
 """Summary values that do not describe the tool's loads; `Sweep.plot` does not draw them."""
-SAME = 1e-9
+RELATIVE_ROUNDING = 1e-9
 """Largest relative difference between summary values that is attributed to rounding."""
 
 
@@ -216,7 +216,9 @@ class Sweep:
         differing = []
         for name in self.figure_names:
             values = [each.figures.get(name, np.nan) for each in self.finished]
-            if name not in NO_RESULTS and not np.allclose(values, values[0], rtol=SAME, atol=0.0):
+            if name not in NO_RESULTS and not np.allclose(
+                values, values[0], rtol=RELATIVE_ROUNDING, atol=0.0
+            ):
                 differing.append(name)
         return differing
 

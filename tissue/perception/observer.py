@@ -177,7 +177,7 @@ class Observer:
         # in the order of PARAMETERS
         return exp(self.mean[5])
 
-    def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
+    def draw(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
         """Return joint draws of all parameters, each of shape (count,), keyed by parameter."""
         values, vectors = np.linalg.eigh(self.covariance)
         # A matrix square root is used instead of Cholesky's factor, because the covariance may be
@@ -328,7 +328,7 @@ class Population:
     lapse_logit_spread: float
     sigma_shape: float
 
-    def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
+    def draw(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
         """Return the parameters of `count` random people, keyed by parameter.
 
         Each array has shape (count,).

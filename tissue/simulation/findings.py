@@ -19,7 +19,7 @@ from tissue.scene.organ import LayersAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, ReplayMotion, ThrustMotion, Tool
 from tissue.simulation.bone_surface import tool_axes
-from tissue.simulation.builders.force_met import chosen_scale, force_met
+from tissue.simulation.builders.force_scale import chosen_scale, expected_force
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.trace import Table
 
@@ -282,7 +282,7 @@ def _force_scale_note(scene: Scene, apart_mm: float, radius_mm: float) -> str:
         f"Set coupling.force_scale = {smaller:g} instead of {scale:g}"
     )
     friction_N = device_parameters(scene.held.kind, scene.constants).friction_N
-    felt_N = smaller * force_met(scene).force_N
+    felt_N = smaller * expected_force(scene).force_N
     if 0.0 < felt_N < friction_N:
         note += (
             f". The largest force at the device is then {felt_N:.2g} N. The friction of "

@@ -378,9 +378,9 @@ def _recorded(
     loop.place()
     with undisturbed():
         for tick in range(ticks):
-            bone.asked = tick % every == 0
+            bone.computes_loads = tick % every == 0
             loop.step()
-            if bone.asked:
+            if bone.computes_loads:
                 engaged[tick // every] = bone.engaged_m2
                 for all_ticks, each in zip(unit, bone.unit_loads, strict=True):
                     all_ticks[:, :, tick // every] = each

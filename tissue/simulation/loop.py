@@ -119,7 +119,7 @@ class Stepper:
         Call this before the first tick. If `resume` is True, the tissue keeps the state that it has
         from another loop, which must have ended at the same pose.
         """
-        self._motion.meet(self._tissue)
+        self._motion.set_tissue(self._tissue)
         self._motion.begin(self.tool)
         if not resume:
             self._tissue.place(self.tool)

@@ -20,7 +20,7 @@ from tissue.models.tissue_model import TICK_S, HasHeat, HasSummary, HasVoxels
 from tissue.motion.motion import Events
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.run_folder import (
     FORMAT,

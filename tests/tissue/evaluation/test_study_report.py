@@ -149,7 +149,7 @@ def test_figures_are_compared_only_where_the_task_is_that_of_the_paper(study, mo
     count = len(printed) + 2
     found = found_section([force_section(table), task_section(table)])
     assert f" of {count}. Agreement means" in found.sentences[-1]
-    monkeypatch.setitem(TASKS, "T2", replace(TASKS["T2"], differs="another wall"))
+    monkeypatch.setitem(TASKS, "T2", replace(TASKS["T2"], known_difference="another wall"))
     found = found_section([force_section(table), task_section(table)])
     assert f" of {count // 2}. Agreement means" in found.sentences[-1]
 

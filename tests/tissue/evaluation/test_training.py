@@ -15,7 +15,7 @@ from tissue.evaluation.statistics.metrics import force_error
 from tissue.evaluation.training import fit, validated, with_fallback
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.registry import PREDICTORS
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.builders.prediction import FALLBACKS
 from tissue.simulation.reference_force import ideal_force_N, motor_forces
 

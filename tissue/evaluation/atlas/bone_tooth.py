@@ -69,7 +69,7 @@ def drag_N_s_m() -> float:
     return response.resistance[2]
 
 
-def left_over(step_s: float, mass_kg: float, *, implicit: bool) -> float:
+def final_speed_error(step_s: float, mass_kg: float, *, implicit: bool) -> float:
     """Integrate the tool's motion over 400 time steps; return the final speed's relative error."""
     drag = drag_N_s_m()
     settled = THRUST_N / drag
@@ -108,7 +108,7 @@ class ExplicitCutting(Page):
             """Return the limit of the explicit time step: measured, and by theory."""
             runs_away = boundary(
                 # thirty bisections of eight decades find the limit to 2e-8
-                lambda step: left_over(step, mass, implicit=False) > 1.0,
+                lambda step: final_speed_error(step, mass, implicit=False) > 1.0,
                 1e-8,
                 1.0,
                 steps=30,
@@ -118,8 +118,8 @@ class ExplicitCutting(Page):
         def left(step: float) -> dict[str, float]:
             """Return the remaining error of the explicit and of the implicit rule."""
             return {
-                "explicit": left_over(step, MASS_KG, implicit=False),
-                "implicit": left_over(step, MASS_KG, implicit=True),
+                "explicit": final_speed_error(step, MASS_KG, implicit=False),
+                "implicit": final_speed_error(step, MASS_KG, implicit=True),
             }
 
         # three masses in a decade on both sides of `MASS_KG`

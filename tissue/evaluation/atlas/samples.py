@@ -46,7 +46,9 @@ VALID_M = FASTEST_M_S * (TICK_S + OLDEST_S)
 """Longest jump of the position [m] from tick to tick that the sample guard accepts."""
 
 
-def pressed(fault: Fault, *, seconds: float, guarded: bool) -> tuple[Array, SampleGuard | None]:
+def simulate_press(
+    fault: Fault, *, seconds: float, guarded: bool
+) -> tuple[Array, SampleGuard | None]:
     """Simulate an expert who aims 5 mm deep into a wall with a device that has a fault.
 
     Return the magnitude of the force [N], shape (ticks,), and the sample guard. If `guarded` is
@@ -64,7 +66,7 @@ def pressed(fault: Fault, *, seconds: float, guarded: bool) -> tuple[Array, Samp
     return np.linalg.norm(run.force_N, axis=1), guard
 
 
-def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
+def relative_forces(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
     """Measure three forces around a fault of the samples, relative to the force before the fault.
 
     The fault lasts `gap_s`. The three values are the force in its last tick, the largest force
@@ -72,16 +74,16 @@ def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
     """
     fault = Fault(kind, FAULT_S, FAULT_S + gap_s)
     # 80 ms after the fault, in which the force returns
-    size, _ = pressed(fault, seconds=fault.end_s + 0.08, guarded=guarded)
+    size, _ = simulate_press(fault, seconds=fault.end_s + 0.08, guarded=guarded)
     last = round((FAULT_S + gap_s) / TICK_S) - 1
     step = np.abs(np.diff(size[FIRST - 1 : last + 1])).max()
     return (np.array([size[last], size[last + 1 :].max(), step]) / size[FIRST - 1]).tolist()
 
 
 def over_gap(kind: FaultKind, gaps: Array) -> Table:
-    """Compute `shares` with and without guard for each fault duration [s] in `gaps`."""
-    guarded = np.array([shares(kind, gap, guarded=True) for gap in gaps.tolist()])
-    bare = np.array([shares(kind, gap, guarded=False) for gap in gaps.tolist()])
+    """Compute `relative_forces` with and without guard for each fault duration [s] in `gaps`."""
+    guarded = np.array([relative_forces(kind, gap, guarded=True) for gap in gaps.tolist()])
+    bare = np.array([relative_forces(kind, gap, guarded=False) for gap in gaps.tolist()])
     # A repeated sample is accepted until it is too old. A late sample is too old immediately. From
     # then on, each tick takes 1/20 of the force.
     young_s = 2.0 * TICK_S if kind == "duplicated" else 0.0
@@ -165,7 +167,7 @@ class LostSamples(Page):
             )
 
 
-def forced(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
+def forces_at_jump(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
     """Measure the forces [N] in the ticks just before and at a position jump.
 
     The jump displaces the sample into the wall by ``jump_m`` [m]. The third result is the number of
@@ -174,7 +176,7 @@ def forced(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
     # one sample only: times of ticks are sums with rounding; the run ends right after it
     half = 0.5 * TICK_S
     fault = Fault("jump", FAULT_S - half, FAULT_S + half, jump_m)
-    size, guard = pressed(fault, seconds=FAULT_S + 3e-3, guarded=guarded)
+    size, guard = simulate_press(fault, seconds=FAULT_S + 3e-3, guarded=guarded)
     return float(size[FIRST - 1]), float(size[FIRST]), 0 if guard is None else guard.bad_ticks
 
 
@@ -196,8 +198,8 @@ class WildInput(Page):
         # a damaged sample may hold any number
         far = 10.0 ** np.array([-1, 0, 2, 4, 6, 9])
         jumps = np.sort(np.concatenate([np.geomspace(1e-4, 1e-2, 6), near, far]))
-        bare = np.array([forced(jump, guarded=False) for jump in jumps.tolist()])
-        guarded = np.array([forced(jump, guarded=True) for jump in jumps.tolist()])
+        bare = np.array([forces_at_jump(jump, guarded=False) for jump in jumps.tolist()])
+        guarded = np.array([forces_at_jump(jump, guarded=True) for jump in jumps.tolist()])
         return {
             "jump": {
                 "jump_m": jumps,

@@ -117,7 +117,7 @@ def draw_observers(group: str, count: int, rng: np.random.Generator) -> Simulate
     ``perception.toml``.
     """
     people = replace(population(), kappa=constants("observers", group)["kappa"].value)
-    drawn: dict[str, Any] = people.draws(count, rng)
+    drawn: dict[str, Any] = people.draw(count, rng)
     return SimulatedObservers(**drawn)
 
 

@@ -31,7 +31,7 @@ from tissue.scene.coupling import Fidelity
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 
-OFFERED_US = 800.0
+TICK_LIMIT_US = 800.0
 """Limit of the computing time of a tick [us], as 99th percentile, in the search for finer settings.
 
 If a finer setting exceeds the limit, no setting that is finer still is measured. The haptic loop
@@ -102,7 +102,7 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
         point = _measured(scene, setting, quick=quick)
         points.append(point)
         offered.append(setting)
-        full = full or (setting.finer and point.p99_us > OFFERED_US)
+        full = full or (setting.finer and point.p99_us > TICK_LIMIT_US)
     report(f"{scene.name}: reference", len(settings) / (len(settings) + 1))
     return Frontier(scene, tuple(points), _gap(scene, quick=quick), tuple(offered))
 

@@ -16,9 +16,9 @@ from tissue.evaluation.charts.settings import (
     grids,
     machine,
     placed,
+    relative_edges,
     scene_text,
     settings_of,
-    shares,
     sources,
 )
 from tissue.evaluation.reference.history import (
@@ -89,7 +89,7 @@ def reference_gap(scene: Scene, *, quick: bool, by_hand: bool = False) -> float:
         if not changes:
             return 0.0
         forces = [grid_force_N(model, each) for each in changes]
-        return grid_index(forces, shares(model, quick=quick)).index[-1]
+        return grid_index(forces, relative_edges(model, quick=quick)).index[-1]
     run = simulate(changed(model, finest(model, quick=quick) if by_hand else {"stress": None}))
     exact = reference_force(model, run.trace)
     if not by_hand:

@@ -135,7 +135,7 @@ FAMILIES = {
 
 Most colours are from Okabe and Ito (2008).
 """
-LEAST = 1e-4
+SMALLEST_PERCENT = 1e-4
 """Error [%] that replaces zero on logarithmic axes."""
 BY = {"script": ("#0072B2", "by script: model"), "hand": ("#B34700", "by hand: loop")}
 """Colour and label for scripted and hand-held tools in the picture of all scenes."""
@@ -238,8 +238,11 @@ def _draw_frontier(axes: Axes, found: Frontier) -> None:
 
 
 def _percent(error: float) -> float:
-    """Return an error in per cent, at least `LEAST` so that a logarithmic axis can show it."""
-    return max(100.0 * error, LEAST)
+    """Return an error in per cent, at least `SMALLEST_PERCENT`.
+
+    A logarithmic axis cannot show the value 0.
+    """
+    return max(100.0 * error, SMALLEST_PERCENT)
 
 
 def _log_axes(axes: Axes, **settings: str) -> None:

@@ -122,7 +122,7 @@ def finest(scene: Scene, *, quick: bool) -> Changes:
     return (grids(scene, quick=quick) or [{}])[-1]
 
 
-def shares(scene: Scene, *, quick: bool) -> tuple[float, ...]:
+def relative_edges(scene: Scene, *, quick: bool) -> tuple[float, ...]:
     """Return the edge lengths of three grids relative to the scene, coarsest first.
 
     The result is empty for a scene without a grid.
@@ -140,7 +140,7 @@ def grids(scene: Scene, *, quick: bool) -> list[Changes]:
     best: dict[str, object] = {"organ.order": 2, "organ.path": "condensed"}
     if isinstance(scene.tool, Tool):
         best = {"voxels.removal": "subvoxel"}
-    return [refined(scene, share) | best for share in shares(scene, quick=quick)]
+    return [refined(scene, share) | best for share in relative_edges(scene, quick=quick)]
 
 
 def refined(scene: Scene, share: float) -> dict[str, object]:

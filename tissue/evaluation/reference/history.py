@@ -120,12 +120,12 @@ def reference_force(
     cutter = cutter_of(scene.tool)
     path = path_of_trace(trace, cutter)
     solid = solid_of_scene(scene)
-    kept_by = (
+    cache_key = (
         scene.bone,
         scene.tool.model_copy(update={"shell_spacing_mm": None}),
         solid.coefficients,
     )
-    return force_on_path(path, cutter, solid, kept_by=kept_by, resolution=resolution)
+    return force_on_path(path, cutter, solid, cache_key=cache_key, resolution=resolution)
 
 
 def force_on_path(
@@ -133,14 +133,14 @@ def force_on_path(
     cutter: Cutter,
     solid: Solid,
     *,
-    kept_by: tuple[object, ...] = (),
+    cache_key: tuple[object, ...] = (),
     resolution: Resolution | None = None,
 ) -> ReferenceForce:
     """Compute the reference force on the exact geometry along a tool path.
 
     Parameters
     ----------
-    kept_by
+    cache_key
         Values that identify cutter and solid in the cache on disk. If the tuple is empty, the
         result is not stored.
     """
@@ -171,12 +171,12 @@ def force_on_path(
         path.rotations,
         path.velocities,
         path.turnings,
-        *kept_by,
+        *cache_key,
         fine,
         INTERPOLATION,
         COARSEST_TICKS,
     )
-    found = cached_arrays("reference-force", key, make) if kept_by else make()
+    found = cached_arrays("reference-force", key, make) if cache_key else make()
     return ReferenceForce(found["wrench"], found["uncertainty"].item())
 
 

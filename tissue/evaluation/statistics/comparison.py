@@ -148,7 +148,7 @@ def across_tasks(
 
 
 def stratum_test(
-    cells: Cells, within: tuple[int, ...], *, between: bool, rng: np.random.Generator
+    cells: Cells, factor_indices: tuple[int, ...], *, between: bool, rng: np.random.Generator
 ) -> tuple[HypothesisTest, SignTest]:
     """Test one effect by sign flips, with F tests as alternatives.
 
@@ -156,7 +156,7 @@ def stratum_test(
     ----------
     cells
         Means of a metric over the trials of each user.
-    within
+    factor_indices
         Indices into ``cells.factors``: the factors that belong to the effect.
     between
         True for an effect of the group, or an interaction with the group.
@@ -172,10 +172,10 @@ def stratum_test(
     groups = cells.groups
     sizes = cells.sizes
     name = " x ".join(
-        (["group"] if between else []) + [cells.factors[index][0] for index in within]
+        (["group"] if between else []) + [cells.factors[index][0] for index in factor_indices]
     )
     question = f"{cells.metric}: {name}"
-    exact = strata(values, groups, sizes, within, between=between)
+    exact = strata(values, groups, sizes, factor_indices, between=between)
     if exact.error_square <= (ROUNDING * np.abs(values).max()) ** 2:
         raise InputError(
             cells.metric,
@@ -183,7 +183,7 @@ def stratum_test(
             f"no variation other than {name}",
             "report its values without a test",
         )
-    scores = pair_scores(values, sizes, within)
+    scores = pair_scores(values, sizes, factor_indices)
     signs = sign_test(scores, groups, between=between, rng=rng)
     notes = []
     if cells.dropped:
@@ -201,7 +201,7 @@ def stratum_test(
         signs.p,
         partial_eta_squared(float(exact.F), *exact.degrees),
         _symmetry(scores, groups),
-        _f_tests(exact, effect_scores(values, sizes, within), groups, question),
+        _f_tests(exact, effect_scores(values, sizes, factor_indices), groups, question),
         " ".join(notes),
     )
     return test, signs

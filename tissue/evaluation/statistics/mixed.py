@@ -33,7 +33,7 @@ ITERATIONS = 400
 
 Fits of simulated studies with 45 people converge within 25 iterations.
 """
-LEAST = 1e-6
+SMALLEST_RESIDUAL_SHARE = 1e-6
 """Ratio of residual to total variance below which the likelihood counts as unbounded."""
 
 
@@ -133,7 +133,7 @@ def _convergence(
         return Assumption(
             name, False, f"restricted likelihood not at its maximum in {ITERATIONS} steps: {warned}"
         )
-    if residual_share < LEAST:
+    if residual_share < SMALLEST_RESIDUAL_SHARE:
         return Assumption(
             name,
             False,

@@ -199,7 +199,7 @@ def needle_section(table: TrialTable) -> Section:
 
 def _difference(task: str) -> str:
     """Return the reason why the results of a task are not compared with the published study."""
-    return f"No figure here is compared with the paper's: {TASKS[task].differs}."
+    return f"No figure here is compared with the paper's: {TASKS[task].known_difference}."
 
 
 def _travel_text(travel_mm: float) -> str:

@@ -64,7 +64,7 @@ def force_section(table: TrialTable) -> Section:
             | {name: spread(percent[each], 1) for each, name in ratios.items()}
             | {"trials": str(len(part))}
         )
-    left = _left_over(table)
+    left = _error_ratios(table)
     means = ", ".join(
         f"{row['task']} {row['method']} {row['force error / %'].split()[0]}" for row in rows
     )
@@ -101,7 +101,7 @@ def force_section(table: TrialTable) -> Section:
     )
 
 
-def _left_over(table: TrialTable) -> list[str]:
+def _error_ratios(table: TrialTable) -> list[str]:
     """Return sentences on how much prediction and personal scaling reduce the errors.
 
     The sentences state two ratios: force error with prediction over force error without, and error

@@ -51,7 +51,7 @@ class Task:
         Corners of the target path of the tool [mm]. Default: the path of the motion.
     most
         Largest number of trials for each expertise group.
-    differs
+    known_difference
         Description of a known difference from the corresponding task in the published study. If it
         is not empty, results are not compared with that study. The published study states no
         geometry, tool or path.
@@ -64,7 +64,7 @@ class Task:
     case: bool = False
     wanted_mm: tuple[tuple[float, float, float], ...] = ()
     most: int = 10_000
-    differs: str = ""
+    known_difference: str = ""
 
 
 def _scaled(
@@ -123,8 +123,8 @@ TASKS = {
             "duration_s": None,
         },
         specimens=_scaled(BONE, (0.6, 1.0, 1.1)),
-        differs="the motion of the hand is scaled to a tenth at the burr, so that the hand feels "
-        "the bone",
+        known_difference="the motion of the hand is scaled to a tenth at the burr, so that the "
+        "hand feels the bone",
     ),
     "needle": Task(
         title="needle pushed through the capsule of a liver, to stop as it breaks",
@@ -138,8 +138,8 @@ TASKS = {
             "coupling.force_scale": 1.0,  # the force that the hand raises is the needle's
         },
         specimens=({},),
-        differs="the paper measures the distance from a target depth, here the needle is stopped "
-        "as the capsule breaks",
+        known_difference="the paper measures the distance from a target depth, here the needle is "
+        "stopped as the capsule breaks",
     ),
     "reaming": Task(
         title="reaming of a glenoid",
@@ -165,8 +165,8 @@ TASKS = {
         scene="caries",
         changes=TOOTH | {"motion.points_mm": [[0, 0, 0.3], [0, 0, -1.5]], "duration_s": None},
         specimens=({}, {"anatomy.caries_depth_mm": None, "anatomy.caries_diameter_mm": None}),
-        differs="the paper compares textures at more than 10,000 rpm, here mean forces are "
-        "compared at 400,000 rpm",
+        known_difference="the paper compares textures at more than 10,000 rpm, here mean forces "
+        "are compared at 400,000 rpm",
     ),
 }
 """Tasks by name.

@@ -155,8 +155,8 @@ def _overview(folder: StudyFolder) -> Section:
             "task": task,
             "what": TASKS[task].title,
             "scene and changes": _describe(task),
-            "compared with the paper": f"no: {TASKS[task].differs}"
-            if TASKS[task].differs
+            "compared with the paper": f"no: {TASKS[task].known_difference}"
+            if TASKS[task].known_difference
             else "yes",
             "trials": ", ".join(f"{group} {counts[task, group]}" for group in plan.groups),
         }

@@ -183,7 +183,7 @@ def against(ours: Array, paper: Figure | None, unit: str) -> dict[str, str]:
 
 def published(task: str, figure: Figure | None) -> Figure | None:
     """Return a published value; None if the published task differs from the task of this study."""
-    return None if TASKS[task].differs else figure
+    return None if TASKS[task].known_difference else figure
 
 
 def tasks_of(table: TrialTable) -> list[str]:

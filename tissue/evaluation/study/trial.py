@@ -33,7 +33,7 @@ from tissue.perception.observer import PARAMETERS, Observer, write_observer
 from tissue.scene.load import changed, load_scene
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.builders.loop import judged_loop, loop_settings
 from tissue.simulation.simulate import simulate
 

@@ -11,7 +11,7 @@ from tissue.evaluation.statistics import metrics
 from tissue.evaluation.study.puncture import NOTICED
 from tissue.perception.observer import Observer, reference_observer
 from tissue.scene.tool import PathMotion
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.reference_force import ideal_force_N, motor_forces
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S

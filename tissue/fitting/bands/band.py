@@ -65,7 +65,7 @@ MOST_FAILED = 0.1
 
 If more samples failed, the ends of a 90 % band would describe only the remaining samples.
 """
-SAME = 3e-3
+LOAD_TOLERANCE = 3e-3
 """Largest accepted difference of a run's loads from the nominal loads of its band.
 
 The difference is relative to the peak load. It is not zero, because the loads of a band are
@@ -360,14 +360,14 @@ def require_same(band: Band, loads: Array) -> None:
     ------
     InputError
         If the run has fewer ticks than the band, or a load differs by more than the relative
-        tolerance `SAME`.
+        tolerance `LOAD_TOLERANCE`.
     """
     count = len(band.times_s)
     if len(loads) >= count:
         run = with_sizes(loads[:count])
         # columns 3 and 7 are the sizes of force and torque; each scales its own components
         scales = np.repeat(np.abs(run[:, [3, 7]]).max(axis=0, initial=0.0), 4)
-        if (np.abs(band.nominal - run) <= SAME * scales).all():
+        if (np.abs(band.nominal - run) <= LOAD_TOLERANCE * scales).all():
             return
     raise InputError(
         "band",

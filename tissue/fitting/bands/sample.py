@@ -19,11 +19,12 @@ from tissue.materials.scene_constants import Materials
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import used_constants
 
-LEAST = 16
-MOST = 65536
+FEWEST_SAMPLES = 16
+MOST_SAMPLES = 65536
 """Largest number of samples of a band.
 
-`LEAST` is the smallest number, 16. With fewer samples, no sample would lie outside the 90 % band.
+`FEWEST_SAMPLES` is the smallest number, 16. With fewer samples, no sample would lie outside the
+90 % band.
 
 At 16,384 samples, the sampling error of a 95 % quantile is 0.12 % (``tests/bench/bench_band.py``).
 More than 65,536 samples would only cost time.
@@ -115,7 +116,9 @@ def rounded(asked: int) -> int:
     InputError
         If the number is not between 16 and 65536.
     """
-    count = int(require_range("band", asked, LEAST, MOST, "use a value such as 200"))
+    count = int(
+        require_range("band", asked, FEWEST_SAMPLES, MOST_SAMPLES, "use a value such as 200")
+    )
     return 1 << (count - 1).bit_length()
 
 

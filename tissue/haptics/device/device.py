@@ -73,7 +73,7 @@ class KnowsTruth(Protocol):
 
 
 @runtime_checkable
-class StatesPlayed(Protocol):
+class ReportsPlayedForce(Protocol):
     """Device that may apply less than the commanded force, and reports the applied force."""
 
     @property
@@ -240,7 +240,7 @@ def device_parameters(name: str, constants: Materials = Materials.cited) -> Devi
     return DeviceParameters(**constants.numbers("devices", DEVICES[name].numbers, name))
 
 
-FURTHER = 3.0
+REACH_RATIO = 3.0
 """Reach of a device's arm divided by the diagonal of its published workspace.
 
 The Touch has a published workspace of 160 x 120 x 70 mm, but its arm moves in 431 x 348 x 165 mm.
@@ -252,7 +252,7 @@ UNSTATED_M = 3.0
 
 The value is larger than the length of a human arm.
 """
-MOST_WRONG = 20
+SAMPLES_BEYOND_REACH = 20
 """Number of consecutive samples beyond the reach after which an error is raised.
 
 A single such sample is a temporary fault, which `SampleGuard` handles.
@@ -276,7 +276,7 @@ class Reach:
     def __init__(self, limits: DeviceParameters) -> None:
         self._edges_m = limits.workspace_m
         diagonal_m = float(np.linalg.norm(self._edges_m))
-        self.limit_m = FURTHER * diagonal_m if isfinite(diagonal_m) else UNSTATED_M
+        self.limit_m = REACH_RATIO * diagonal_m if isfinite(diagonal_m) else UNSTATED_M
         self._first: Triple | None = None
         self._wrong = 0
 
@@ -285,7 +285,7 @@ class Reach:
         self._first = None
         self._wrong = 0
 
-    def require(self, position_m: Triple, *, samples: int = MOST_WRONG) -> None:
+    def require(self, position_m: Triple, *, samples: int = SAMPLES_BEYOND_REACH) -> None:
         """Check a position [m], and raise an error after several positions beyond the reach.
 
         The error is raised after ``samples`` consecutive positions beyond the reach.

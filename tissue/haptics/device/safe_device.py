@@ -14,7 +14,13 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, counted
-from tissue.haptics.device.device import Device, DeviceError, DeviceParameters, Sample, StatesPlayed
+from tissue.haptics.device.device import (
+    Device,
+    DeviceError,
+    DeviceParameters,
+    ReportsPlayedForce,
+    Sample,
+)
 from tissue.haptics.loop.filters import SlewLimit
 from tissue.models.tissue_model import TICK_S
 from tissue.system.stopping import (
@@ -55,7 +61,7 @@ The second thread waits for a lock, for the command and for the close, each for 
 The sum of 0.6 s is less than `GIVE_UP_S`.
 """
 OPENED = ", and give it without `with`: the run opens and closes it"
-IDLE = ("", inf)
+NO_CALL = ("", inf)
 """Stored name and start time of a call while no call of the device is running."""
 
 
@@ -107,7 +113,7 @@ class SafeDevice:
         self._holder = device if isinstance(device, SafeDevice) else None
         self.device: Device = device.device if isinstance(device, SafeDevice) else device
         self.in_process = bool(getattr(self.device, "in_process", False))
-        self._states = self.device if isinstance(self.device, StatesPlayed) else None
+        self._states = self.device if isinstance(self.device, ReportsPlayedForce) else None
         self.entered = False
         self.released = False
         self.slow_reads = 0
@@ -120,7 +126,7 @@ class SafeDevice:
         self._torque = SlewLimit(inf if limits is None else tick_ms * limits.torque_slew_Nm_ms)
         self._lock = threading.Lock()
         self._stack = ExitStack()
-        self._call = IDLE  # name and start time of the running call
+        self._call = NO_CALL  # name and start time of the running call
         self._played = inf  # time of the last command that was not zero
         self._stop: BaseException | None = None
         self._lost: DeviceError | None = None
@@ -299,7 +305,7 @@ class SafeDevice:
         except Exception as error:
             raise self._failed(name, error) from error
         finally:
-            self._call = IDLE
+            self._call = NO_CALL
 
     def _ramp(self) -> None:
         """Ramp the last force linearly to zero.

@@ -14,7 +14,7 @@ import numpy as np
 from meshes.base.errors import require_positive, require_range
 from meshes.base.hints import suggests_arguments
 from tissue.haptics.loop.filters import low_pass_gain
-from tissue.haptics.loop.sampled_loop import WallLoop, largest_eigenvalue, spectral_radius
+from tissue.haptics.loop.sampled_loop import WallLoop, growth_per_model_step, spectral_radius
 
 SOFTEST_N_M = 1e-2
 STIFFEST_N_M = 1e8
@@ -31,7 +31,7 @@ with amplitudes up to the average force, were tried on a Touch. With 24 steps, t
 only windows in which the oscillation grows by less than 1 / 5000 per tick. With 16 steps, it also
 misses windows in which the oscillation grows by 1 / 700 per tick.
 """
-ON_THE_CIRCLE = 1e-12
+STABILITY_TOLERANCE = 1e-12
 """Tolerance with which the magnitude of an eigenvalue is compared with the stability limit 1.
 
 A magnitude above 1 minus this value is treated as unstable, because an eigenvalue of exactly 1 may
@@ -200,7 +200,7 @@ def judge(loop: WallLoop, hands: Sequence[tuple[float, ...]] | None = None) -> V
 
 def _beyond(stiffness_N_m: float, loop: WallLoop) -> float:
     """Return the largest eigenvalue minus the stability limit; negative for a stable loop."""
-    return largest_eigenvalue(loop.with_stiffness(stiffness_N_m)) - (1.0 - ON_THE_CIRCLE)
+    return growth_per_model_step(loop.with_stiffness(stiffness_N_m)) - (1.0 - STABILITY_TOLERANCE)
 
 
 def passive_bound_N_m(loop: WallLoop) -> float:

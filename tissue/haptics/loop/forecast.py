@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.cache import Kept
+from meshes.base.cache import RecentResults
 from meshes.base.errors import InputError
 from tissue.prediction.predictor import Contact, SeesContact
 
@@ -79,7 +79,7 @@ class Forecast:
         return ages if self.taps[:, :, :2].any() else 0, ages
 
 
-_forecasts: Kept["Forecast"] = Kept(256)
+_forecasts: RecentResults["Forecast"] = RecentResults(256)
 """Cache of forecasts; a study needs about ten for each combination of task, latency and device."""
 OUT = np.array([0.0, 0.0, 1.0])
 """Direction out of the tissue during a probe."""

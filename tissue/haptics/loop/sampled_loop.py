@@ -325,7 +325,7 @@ class ForecastMemory:
         return model + forecast.gain * (predicted - model)
 
 
-def largest_eigenvalue(loop: WallLoop) -> float:
+def growth_per_model_step(loop: WallLoop) -> float:
     """Return the growth factor per model step of the mode that decays most slowly.
 
     The factor is the magnitude of the largest eigenvalue of `loop_matrix`. If this matrix maps over
@@ -343,7 +343,7 @@ def spectral_radius(loop: WallLoop) -> float:
 
     The loop is stable if this factor is below 1, and unstable if it is above 1.
     """
-    return float(largest_eigenvalue(loop) ** (1.0 / loop.model_ticks))
+    return float(growth_per_model_step(loop) ** (1.0 / loop.model_ticks))
 
 
 def motor_lag_ticks(loop: WallLoop) -> float:

@@ -137,7 +137,7 @@ class CuttingTool(HeldTool):
         self._searched: Quaternion | None = None
         self._rotation = np.eye(3)
 
-    def meet(self, tissue: CutTissue, rotation: Array) -> None:
+    def set_tissue(self, tissue: CutTissue, rotation: Array) -> None:
         """Set the tissue, and the initial rotation from tool to world."""
         self._tissue = tissue
         self._start = rotation.copy()

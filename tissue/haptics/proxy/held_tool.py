@@ -150,7 +150,7 @@ class HeldTool(ABC):
         ``response`` is the response of the tissue in the last tick.
         """
 
-    def lands(self, response: Response) -> bool:
+    def has_entered(self, response: Response) -> bool:
         """Return True if the response at the new position requires another step in this tick.
 
         This is the case if the tool has entered the tissue from free space.
@@ -216,7 +216,7 @@ class PressingTool(HeldTool):
             tip[:] = device_m
         return tip
 
-    def lands(self, response: Response) -> bool:
+    def has_entered(self, response: Response) -> bool:
         """Return True if the tool has entered the tissue from free space."""
         return self._free and any(response.wrench[:3].tolist())
 

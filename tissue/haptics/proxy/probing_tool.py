@@ -40,7 +40,7 @@ class ProbingTool(HeldTool):
         )
         self.proxy: Proxy | None = None
 
-    def meet(self, shell: ToolShell, field: ContactField) -> Proxy:
+    def create_proxy(self, shell: ToolShell, field: ContactField) -> Proxy:
         """Set the objects that the tool may touch, and place the tool at its first pose.
 
         At this pose, the axes of the shell are parallel to the axes of the world.
@@ -63,7 +63,7 @@ class ProbingTool(HeldTool):
         step_s: float,
     ) -> Array:
         """Move as close to the device as the contacts allow, and return the tip position."""
-        assert self.proxy is not None, "a probing tool must meet something first"
+        assert self.proxy is not None, "a probing tool has no proxy yet"
         result = self.proxy.advance(device_m, np.array(device))
         self.tip_m[:] = result.position_m
         x, y, z, w = result.quaternion.tolist()
@@ -127,7 +127,7 @@ class ProbedBone(FreeSpace):
         turn = motion.rotation.T
         shell = ToolShell(self._shell.points_m @ turn, self._shell.normals @ turn)
         try:
-            self._tool.meet(shell, self._field)
+            self._tool.create_proxy(shell, self._field)
         except InputError as error:
             raise InputError(
                 "motion",

@@ -23,7 +23,7 @@ Each of the arrays `remaining`, `swept`, `middle`, `older` and `nearby` takes 2 
 """
 NEVER_SWEPT = 65535
 """Stored value of `swept`, `middle` and `older` for a voxel that the tool has never reached."""
-STEPS = FULL // 255
+STORED_RATIO = FULL // 255
 """Value of a full voxel in the store (65535) divided by its value in a voxel volume (255)."""
 CHANGED = ("remaining", "swept", "middle", "older", "alive")
 """Names of the arrays of `BrickStore` that carving reads and changes."""
@@ -211,7 +211,7 @@ class BrickStore:
         nearby = stored(boundary).astype(np.uint16) << np.uint16(8) | stored_surface
         alive = np.packbits(blocks, axis=1, bitorder="little").view("<u8").reshape(-1)
         never = np.full(fraction.shape, NEVER_SWEPT, dtype=np.uint16)
-        filled = fraction.astype(np.uint16) * np.uint16(STEPS)
+        filled = fraction.astype(np.uint16) * np.uint16(STORED_RATIO)
         rows = {
             "remaining": filled,
             "swept": never,
@@ -437,9 +437,9 @@ def voxels_of(places: Ints, rows: Ints, steps: Ints) -> tuple[Ints, Ints]:
 
 def _nearest(remaining: NDArray[np.uint16]) -> Bytes:
     """Convert stored 16-bit fractions to 8-bit fractions, with rounding."""
-    return ((remaining.astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)).astype(
-        np.uint8
-    )
+    return (
+        (remaining.astype(np.uint32) + np.uint32(STORED_RATIO // 2)) // np.uint32(STORED_RATIO)
+    ).astype(np.uint8)
 
 
 def _filled_up(surface: Bytes, counts: tuple[int, ...]) -> Bytes:

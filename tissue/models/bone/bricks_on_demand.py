@@ -18,7 +18,11 @@ from tissue.models.bone.bricks import BYTES_PER_VOXEL, BrickGrid, BrickStore
 Boxes = tuple[Array, Array]
 """Lowest corners and highest corners of boxes [m], each of shape (n, 3)."""
 PATCH = 4
-"""Number of bricks along each edge of a patch, the smallest block that is made; chosen."""
+"""Number of bricks along each edge of a patch, the smallest block that is made; chosen.
+
+A larger patch contains more bone that the tool does not reach. A smaller patch needs more work per
+stored brick, because its margin is voxelised too: 6 x 6 x 6 bricks for 4 x 4 x 4 stored bricks.
+"""
 MARGIN = 1
 """Number of layers of bricks around a patch that are voxelised but not stored.
 

@@ -73,7 +73,8 @@ stored in `RecentPoses` must cover a longer motion than this value.
 TURN = 0.9
 """Cosine of the smallest angle that counts as a change of direction (26 degrees); chosen.
 
-After such a change, the tool may return to places where it has already cut.
+After such a change, the tool may return to places where it has already cut. The most recent cuts
+therefore become older cuts. With a larger value, they do so after smaller changes of direction.
 """
 WORKERS_CPU = 32
 WORKERS_GPU = 2048

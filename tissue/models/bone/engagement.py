@@ -257,7 +257,7 @@ class EngagedBone(MilledTissue):
         There is a row for each combination of density node, chip-thickness node and direction in
         `DIRECTIONS`. `DensityNodes.strengths` returns the weights of the nodes for a density
         exponent.
-    asked
+    computes_loads
         True if `respond` computes `unit_loads`.
     """
 
@@ -265,7 +265,7 @@ class EngagedBone(MilledTissue):
         super().__init__(bone)
         self.chips_m = chips_m
         self.measure_names: tuple[str, ...] = ()
-        self.asked = True
+        self.computes_loads = True
         material = bone.store.material.numpy()
         self.nodes = [
             DensityNodes.of(*densities_of(material, layer))
@@ -287,7 +287,7 @@ class EngagedBone(MilledTissue):
         `unit_loads` are computed at the motion's speed.
         """
         response = self._response
-        if not self.asked:
+        if not self.computes_loads:
             return response
         share, advance, layer, density = self._elements.find(motion)
         met = np.flatnonzero(share)

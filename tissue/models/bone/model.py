@@ -185,14 +185,14 @@ class BoneModel:
         put_back(self._recent, state["recent"])
         put_back(self.limits, state["limits"])
 
-    def take(self, motion: ToolMotion) -> None:
+    def send_pose(self, motion: ToolMotion) -> None:
         """Send the tool's pose to the device, and store the tool's direction of motion."""
-        self._take_pose(motion.tip_m, motion.rotation)
+        self._write_pose(motion.tip_m, motion.rotation)
         np.dot(motion.heading, motion.rotation, out=self._velocities)
         self._pose.host[6] = 0.0, self._recent.turns, 0.0
         self._pose.push()
 
-    def _take_pose(self, tip_m: Array, rotation: Array) -> None:
+    def _write_pose(self, tip_m: Array, rotation: Array) -> None:
         """Write a pose to the host copy of `motion_rows`, without sending it to the device."""
         np.subtract(tip_m, self._origin, out=self._tip)
         self._tip /= self._spacing
@@ -212,7 +212,7 @@ class BoneModel:
             Length of the step [s].
         """
         self._found = None
-        self._take_pose(tip_m, rotation)
+        self._write_pose(tip_m, rotation)
         self._velocities[:] = 0.0
         self._pose.host[6] = 1.0, self._recent.turns, CREEP_M_S * self.cutter.chip_per_speed_s
         self._pose.push()
@@ -308,7 +308,7 @@ class BoneModel:
 
         Return True after a new search, or False if the last result is still valid.
         """
-        self.take(motion)
+        self.send_pose(motion)
         asked = self._pose.host.tobytes(), self.carver.changes
         is_new = asked != self._found
         if is_new:

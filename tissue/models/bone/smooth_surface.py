@@ -14,7 +14,10 @@ from tissue.models.bone.bricks import BrickStore
 from tissue.models.bone.elements import CuttingForces, elements_of
 
 SMOOTH_ELEMENTS = 500
-"""Number of elements on the surface that does not cut; chosen."""
+"""Number of elements on the surface that does not cut; chosen.
+
+With more elements, each one represents a smaller area, and a tick takes more time.
+"""
 BLOCKED = 0.25
 """Smooth area in bone that causes a warning, divided by the area of the smallest end; chosen.
 

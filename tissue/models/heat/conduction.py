@@ -186,7 +186,7 @@ class HeatGrid:
         at = [_cells(*each) for each in zip(self.edges_m, points_m.T, strict=True)]
         return np.ravel_multi_index(at, self.filled.shape)
 
-    def share_out(self, corners_m: Array, size_m: float, volumes_m3: Array) -> Array:
+    def distribute(self, corners_m: Array, size_m: float, volumes_m3: Array) -> Array:
         """Distribute volumes of cubes among cells, in proportion to the overlap of cube and cell.
 
         Parameters

@@ -247,7 +247,7 @@ class CuttingHeat:
         size = store.grid.spacing_m
         corners = store.grid.origin_m + size * voxels
         volumes_m3 = lost.astype(np.float64) * (size**3 / FULL)
-        return self.grid.share_out(corners, size, volumes_m3) / self._volume_m3
+        return self.grid.distribute(corners, size, volumes_m3) / self._volume_m3
 
     def _deposit(self, points_m: Array, normals: Array, weights: Array, tip_m: Array) -> None:
         """Set the heat power of the cells at the cut surface, and store the excess temperature.

@@ -16,7 +16,7 @@ FACTOR_UNKNOWNS = 200_000
 
 For larger organs a multigrid solver is used, because a factor would take gigabytes of memory.
 """
-CompliancePath = Literal["condensed", "reduced"]
+ComplianceMethod = Literal["condensed", "reduced"]
 """Method used to compute the compliance before a run.
 
 ``condensed``: the complete matrix is computed by a factorisation, and cached on disk. ``reduced``:

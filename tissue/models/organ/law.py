@@ -55,7 +55,7 @@ force of a deep press by up to 3.8 %. With 0.001 this change is 0.4 %. The equil
 docs/decisions.md need at most 9 steps. With a limit of 5 steps, one equilibrium in eight does not
 reach the tolerance.
 """
-MISSED = 0.01
+PREDICTION_TOLERANCE = 0.01
 """Relative error of a predicted displacement above which the compliance is computed again.
 
 The prediction uses the compliance. If an old compliance is used too long, the force depends on the
@@ -63,7 +63,7 @@ time at which this compliance was computed. With 0.05 the force of a deep press 
 when an Ogden exponent increases from 15.5 to 16.5. With 0.02 some forces change by 4 %. With 0.01
 the forces differ by at most 0.1 % from a computation with a new compliance in every interval.
 """
-APART_M = 2e-4
+SLOPE_STEP_M = 2e-4
 """Smallest depth difference of two equilibria from which the offset's slope is computed [m].
 
 With 5e-5 the force of a deep press does not change. With 8e-4 the largest force error while the
@@ -134,7 +134,7 @@ class _Equilibrium:
         """
         deeper_m = self.depth_m - other.depth_m
         square = float(np.sum((self.tip_m - other.tip_m) ** 2)) - deeper_m**2
-        return square > max(APART_M, abs(deeper_m)) ** 2
+        return square > max(SLOPE_STEP_M, abs(deeper_m)) ** 2
 
 
 @dataclass(eq=False)
@@ -341,7 +341,7 @@ class LawOffset:
         expected = np.zeros_like(self.latest_m)
         self._now.into(expected, depth_m, 1.0)
         missed = moved - (_displaced(contact, forces) + expected)[window.inside]
-        has_missed = np.linalg.norm(missed) > MISSED * np.linalg.norm(moved)
+        has_missed = np.linalg.norm(missed) > PREDICTION_TOLERANCE * np.linalg.norm(moved)
         # The tangent of a new window is computed at its first equilibrium, not at the first guess.
         if self._factor is None or (follower.factor is self._factor and has_missed):
             follower.take_stiffness()
@@ -364,7 +364,7 @@ class LawOffset:
             reach_m = 0.0
         deeper_m = depth_m - self._apart.depth_m
         # With a smaller change of depth, the errors of two solves would be divided by almost zero.
-        if abs(deeper_m) >= APART_M:
+        if abs(deeper_m) >= SLOPE_STEP_M:
             if not changed:
                 last = self._offset(contact, self._apart.moved_m, self._apart.forces_N)
                 slope = (offset - last) / deeper_m
@@ -445,7 +445,7 @@ class LawOffset:
             return None if self._factor is before else self._compliance(present_m_N)
 
     @property
-    def older(self) -> float:
+    def late_share(self) -> float:
         """Share of the run time in which the offset was out of date by more than an interval.
 
         An equilibrium whose computation takes longer than an interval delays the next equilibrium.

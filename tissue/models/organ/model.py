@@ -47,7 +47,7 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.fem.fields import FieldSeries
 from tissue.materials.prony import HereditaryIntegral
-from tissue.models.organ.compliance import CompliancePath
+from tissue.models.organ.compliance import ComplianceMethod
 from tissue.models.organ.contact import ContactOutcome, SurfaceContact
 from tissue.models.organ.fields import OrganFields
 from tissue.models.organ.law import LawOffset, TickState
@@ -77,7 +77,7 @@ class ContactSolution:
 
     Attributes
     ----------
-    path, basis_size
+    method, basis_size
         Method used to compute the compliance of the touchable nodes, and number of vectors of a
         reduced basis. If the method is None, columns of the compliance are computed from the
         factorised stiffness and stored for the next tool.
@@ -89,14 +89,14 @@ class ContactSolution:
         cores.
     """
 
-    path: CompliancePath | None = None
+    method: ComplianceMethod | None = None
     basis_size: int = 300
     tolerance: float = 1e-3
     sweeps: int = 100
     cores: int | None = None
 
 
-class LiverModel:
+class OrganModel:
     """Soft organ that is touched by a tool on a given path.
 
     Parameters
@@ -150,7 +150,7 @@ class LiverModel:
         touchable, faces = organ.touchable(tool)
         self.touchable = touchable
         compliance = organ.compliance(
-            touchable, solution.path, basis_size=solution.basis_size, report=report
+            touchable, solution.method, basis_size=solution.basis_size, report=report
         )
         self.contact = SurfaceContact(
             space.nodes_m[touchable] + organ.rest[1][touchable],
@@ -371,7 +371,7 @@ class LiverModel:
                     "median": 1e3 * float(np.median(self._law.took_s or [0.0])),
                     "p99": 1e3 * float(np.percentile(self._law.took_s or [0.0], 99)),
                 },
-                "offset_older_than_interval": self._law.older,
+                "offset_older_than_interval": self._law.late_share,
             }
         }
 

@@ -9,7 +9,7 @@ from scipy.sparse import bsr_array
 from scipy.spatial import cKDTree
 
 from meshes.base.arrays import Array, Ints
-from meshes.base.cache import Kept
+from meshes.base.cache import RecentResults
 from meshes.base.errors import InputError, in_brackets
 from meshes.base.progress import Progress
 from meshes.tets.regions import faces_of
@@ -20,7 +20,7 @@ from tissue.fem.solvers.held_body import HeldBody, held_nodes
 from tissue.fem.space import Space
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.materials.prony import Prony
-from tissue.models.organ.compliance import CompliancePath, Factor
+from tissue.models.organ.compliance import ComplianceMethod, Factor
 from tissue.models.organ.probe import ProbeShape
 
 CONDENSING = "condensing the compliance to the surface that can be touched"
@@ -88,8 +88,8 @@ def linear_triangles(faces: Ints) -> Ints:
     return faces[:, parts].reshape(-1, 3)
 
 
-_spaces: Kept[Space] = Kept(2)
-_patches: Kept[tuple[Ints, Ints]] = Kept(2)
+_spaces: RecentResults[Space] = RecentResults(2)
+_patches: RecentResults[tuple[Ints, Ints]] = RecentResults(2)
 """Cached surface nodes and triangles near a tool's path, keyed by mesh, order, tool and path.
 
 The cache saves time in a study in which every trial presses the same mesh.
@@ -133,7 +133,7 @@ class OrganLaw:
         Factor by which the law's moduli are multiplied in each cell, shape (m,).
     interval_s
         Time between two solutions of the law [s]; 0 for an organ that is solved only by
-        `LiverModel.converge`.
+        `OrganModel.converge`.
     region_m
         Radius around the contact within which the law applies [m]. Outside this radius the organ is
         linear.
@@ -293,12 +293,12 @@ class SoftOrgan:
         return self.factor.compliance_between(nodes)
 
     def compliance(
-        self, touchable: Ints, path: CompliancePath | None, *, basis_size: int, report: Progress
+        self, touchable: Ints, method: ComplianceMethod | None, *, basis_size: int, report: Progress
     ) -> Array:
         """Return the compliance of t touchable nodes [m/N], shape (3t, 3t).
 
-        If `path` is None, columns of the compliance are computed from the factorised stiffness and
-        stored for the next tool. `basis_size` is the number of basis vectors if `path` is
+        If `method` is None, columns of the compliance are computed from the factorised stiffness
+        and stored for the next tool. `basis_size` is the number of basis vectors if `method` is
         ``reduced``.
 
         Raises
@@ -307,9 +307,9 @@ class SoftOrgan:
             If the compliance would not fit into memory.
         """
         report(CONDENSING, 0.0)
-        if path is None:
+        if method is None:
             return self.compliance_between(touchable)
-        if path == "reduced":
+        if method == "reduced":
             return reduced_compliance_m_N(self.factor.solver, touchable, basis_size)
         self.factor.expect(touchable)
         return surface_compliance_m_N(

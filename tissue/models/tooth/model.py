@@ -308,7 +308,7 @@ class ToothModel(MilledTissue):
         """
         if not (self._pulp_near and self._reports_pulp):
             return
-        self.milling.take(motion)
+        self.milling.send_pose(motion)
         self._clearance()
         self._nearest.pull()
         self._report_pulp(float(np.minimum.reduce(self._nearest.host)))

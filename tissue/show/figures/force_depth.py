@@ -22,9 +22,9 @@ from tissue.show.figures.figure import (
     save,
     styled,
 )
-from tissue.show.figures.force_time import FLICKER_S, spells
+from tissue.show.figures.force_time import FLICKER_S, constant_intervals
 from tissue.simulation.bone_surface import facing, tool_axes
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.run import Run
 from tissue.simulation.saved_fields import field_label
 from tissue.simulation.trace import NO_LAYER, Table
@@ -173,7 +173,7 @@ def _shade(run: Run, panels: NDArray[np.object_], depth: Array, rows: Ints, forc
     layers = run.trace["layer"]
     colours = layer_colours(run.volume.layer_names)
     look: dict[str, Any] = {"alpha": 0.28, "linewidth": 0.0}
-    for first, last, name in spells(layers[rows], shortest=round(FLICKER_S / TICK_S)):
+    for first, last, name in constant_intervals(layers[rows], shortest=round(FLICKER_S / TICK_S)):
         if name == NO_LAYER:
             continue
         for axes in panels:

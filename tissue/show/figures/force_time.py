@@ -20,7 +20,7 @@ from tissue.show.figures.figure import (
     torque_unit,
 )
 from tissue.simulation.bone_surface import tool_axes
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.run import Run
 from tissue.simulation.trace import NO_LAYER
 
@@ -44,7 +44,9 @@ would look like stripes.
 """
 
 
-def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, int, str]]:
+def constant_intervals(
+    names: NDArray[np.generic], *, shortest: int = 1
+) -> list[tuple[int, int, str]]:
     """Return intervals of equal entries as (first index, index after the last entry, entry).
 
     An interval with fewer entries than `shortest` is joined with the previous interval. If the
@@ -211,7 +213,7 @@ def _draw_path(axes: "Axes", run: Run) -> None:
     axes.set(ylabel="tip along\nits axis / mm", xlabel="time / s")
     colours = layer_colours(trace.layer_names)
     named: set[str] = set()
-    for first, last, name in spells(trace["layer"], shortest=round(FLICKER_S / TICK_S)):
+    for first, last, name in constant_intervals(trace["layer"], shortest=round(FLICKER_S / TICK_S)):
         if name == NO_LAYER:
             continue
         # one legend entry for each layer

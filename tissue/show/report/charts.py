@@ -81,7 +81,7 @@ FIRST = ("indentation_mm", "insertion_mm", "depth_mm")
 HIDDEN = ("tool_q", "device_q")
 
 
-def columns(trace: Table) -> Record:
+def encoded_columns(trace: Table) -> Record:
     """Encode the columns of a trace whose values vary and are all finite.
 
     The index of the layer with the largest contact area in each row is also encoded.

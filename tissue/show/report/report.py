@@ -19,7 +19,7 @@ from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import package_version, require_new_file, write_text
 from tissue.scene.texts import folders_of
 from tissue.scene.used_constants import used_constants
-from tissue.show.report.charts import Record, charts, columns
+from tissue.show.report.charts import Record, charts, encoded_columns
 from tissue.show.report.page import (
     SECTION,
     assessment_section,
@@ -109,7 +109,7 @@ def _trace(saved: SavedRun) -> dict[str, object]:
     if saved.trace is None or not len(saved.trace.rows):
         return {"trace": None, "charts": [], "events": []}
     return {
-        "trace": columns(saved.trace),
+        "trace": encoded_columns(saved.trace),
         "charts": charts(saved.trace, saved.scene),
         "events": saved.summary.get("events", []),
     }

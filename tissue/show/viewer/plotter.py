@@ -16,7 +16,7 @@ renderer.
 """
 STILL_PX = 2
 """Largest motion of the mouse during a click [pixels], because hands are never still."""
-KEPT = tuple("eqrsw")
+KEPT_KEYS = tuple("eqrsw")
 """VTK keys that stay active: exit (e, q), camera reset (r), surfaces (s), wireframe (w)."""
 ROTATE = 1
 """VTK's number of the interactor state in which the left button rotates the camera."""
@@ -170,7 +170,7 @@ def on_click(plotter: Plotter, click: Callable[[int, int], object]) -> None:
 
 
 def free_keys(plotter: Plotter) -> None:
-    """Switch off the keys that VTK binds to actions, except `KEPT`.
+    """Switch off the keys that VTK binds to actions, except `KEPT_KEYS`.
 
     For example, VTK binds the key 3 to a stereo picture, and the key m to an animation that blocks
     the mouse.
@@ -178,7 +178,7 @@ def free_keys(plotter: Plotter) -> None:
     interactor = plotter.iren.interactor
     style = interactor.GetInteractorStyle()
     style.AddObserver(
-        "CharEvent", lambda *_: style.OnChar() if interactor.GetKeyCode() in KEPT else None
+        "CharEvent", lambda *_: style.OnChar() if interactor.GetKeyCode() in KEPT_KEYS else None
     )
 
 

@@ -72,7 +72,7 @@ def _chart(
 
 
 FORCE = "#0072B2"
-LEAST = 1e-3
+SMALLEST_ARROW_SHARE = 1e-3
 """Force, relative to the largest force, below which no arrow is drawn."""
 
 
@@ -131,7 +131,7 @@ class ToolShown:
         if self._tool is not None:
             self._tool.user_matrix = pose(tip_mm, turn)
         size = float(np.linalg.norm(force_N))
-        shown = size > LEAST * largest_N
+        shown = size > SMALLEST_ARROW_SHARE * largest_N
         self._arrow.SetVisibility(shown)
         self._value.SetVisibility(shown)
         # an arrow without length has no direction

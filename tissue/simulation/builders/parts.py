@@ -40,7 +40,11 @@ RECORDED = "recorded"
 Corners = tuple[Array, Array]
 """Lowest and highest corner of a box [m]."""
 POSES_TRIED = 300
-"""Number of poses along a motion at which contact is searched for; chosen."""
+"""Number of poses along a motion at which contact is searched for; chosen.
+
+With more poses, the preparation of a run takes longer. With fewer poses, contact between two poses
+may be missed.
+"""
 FAR_M = 0.1
 """Distance between path and bone [m] above which a run contains a note.
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from meshes.base.cache import Kept
+from meshes.base.cache import RecentResults
 from meshes.base.errors import InputError, in_brackets, is_file, names_of_caller
 from meshes.base.grid import BLOCK
 from meshes.base.progress import Progress
@@ -61,7 +61,7 @@ The peak occurs while bricks (blocks of voxels) are made and results are written
 """
 MOST_KEPT = 1e7
 """Largest number of voxels of a volume that stays in memory for the next run (60 MB)."""
-_volumes: Kept[VoxelVolume] = Kept(2)
+_volumes: RecentResults[VoxelVolume] = RecentResults(2)
 """Cached volumes of procedural bone, keyed by parameters, region and guide hole."""
 NO_SHAPE = {"kind", "guide_hole_diameter_mm", "guide_hole_depth_mm"}
 """Keys of an anatomy that do not change the shape of the bone."""
