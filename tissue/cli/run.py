@@ -152,7 +152,7 @@ class FileOptions:
     out
         Output folder (default: runs/NAME).
     format_
-        Additional format of the trace: parquet, npz, mat or h5. The format recording is an HDF5
+        Additional format of the trace: parquet, npz, mat or h5. The format `recording` is an HDF5
         file in the layout of the simulator volumetric_drilling. May be repeated.
     pictures
         Format of the pictures: png, svg or pdf. In svg and pdf, lines and text are vectors; 3D

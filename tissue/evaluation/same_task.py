@@ -139,7 +139,7 @@ def coupling_notes(run: AssessedRun, other: AssessedRun, name: str) -> Iterator[
 
 
 def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]:
-    """Yield a sentence for each scene key that differs and is in neither `TASK` nor `FREE`."""
+    """Yield a sentence for each key that differs between the scenes, except `TASK` and `FREE`."""
     if trainee is None or reference is None:
         yield "a run has no scene.toml: whether both are of one tissue and tool is not known"
         return

@@ -109,7 +109,7 @@ def train(
 
 
 def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float) -> Trained:
-    """Return a copy of the trained predictors with the best fallback predictor set.
+    """Return a copy of the trained predictors that uses the best fallback predictor.
 
     When a guard rejects a prediction, it uses the fallback. The fallback is the predictor in
     `FALLBACKS` with the smallest mean error.

@@ -179,7 +179,7 @@ def display_problem() -> str | None:
 
 
 def await_display() -> str | None:
-    """Wait until the display server responds, then return the result of `display_problem`.
+    """Wait until the display responds, then return the result of `display_problem`.
 
     Raises
     ------

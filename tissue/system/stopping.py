@@ -56,8 +56,8 @@ def terminated_as_exception() -> Iterator[None]:
     example in pydantic, may convert the exception to another error. After a stop signal or Ctrl-C,
     any error that leaves the block is therefore replaced by the exception for the signal. Python
     drops exceptions in some callbacks, such as those of weak references, and the package named by
-    `CATCHES_ALL` catches all exceptions. If an exception is lost in one of these ways, the signal
-    is sent again shortly afterwards.
+    `CATCHES_ALL` catches all exceptions. If an exception is lost, the signal is sent again shortly
+    afterwards.
     """
     received: list[KeyboardInterrupt] = []
 

@@ -58,7 +58,7 @@ Changes = Mapping[str, object]
 
 @dataclass(frozen=True)
 class Setting:
-    """Numerical setting of a scene, used to measure computing time and force error.
+    """Numerical setting of a scene; its tick time and force error are measured.
 
     Attributes
     ----------

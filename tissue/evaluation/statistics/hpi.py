@@ -125,8 +125,8 @@ def composite_index(
     Raises
     ------
     InputError
-        If a metric is constant within a task, or if a group has fewer than two users. Also if there
-        are so few users that a metric is constant in a bootstrap sample.
+        If a metric is constant within a task or in a bootstrap sample, or if a group has fewer than
+        two users.
     """
     names = tuple(directions)
     kept = table.failure == ""

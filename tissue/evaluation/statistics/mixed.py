@@ -54,8 +54,8 @@ def mixed_model(table: TrialTable, metric: str) -> list[HypothesisTest]:
     Raises
     ------
     InputError
-        If there is only one group, one task and one method, or if a group has fewer than two
-        complete users. Also if the trials are too few to separate users from the residual.
+        If there is only one group, task and method, if a group has fewer than two complete users,
+        or if there are too few trials to separate users from the residual.
     """
     within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
     cells = table.cells(metric, within=within or ["method"])

@@ -217,7 +217,7 @@ def axis_names(run: "Run") -> tuple[str, ...]:
 
 
 def torque_unit(torque_Nm: float) -> tuple[str, float]:
-    """Return the unit for plots of torques up to `torque_Nm`, and the factor from N m."""
+    """Return the unit for plots of torques up to `torque_Nm`, and the factor that converts N m."""
     return ("mN·m", 1e3) if torque_Nm < SMALL_NM else ("N·m", 1.0)
 
 

@@ -52,9 +52,9 @@ HEIGHTS_PX = 90, 150
 def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, str]:
     """Return the frame (saved fields at one time) to draw, and a text that explains the choice.
 
-    If the organ has an inclusion, it is the frame with the smallest distance between tool and
-    inclusion. Otherwise it is the frame with the largest displacement. If nothing was displaced,
-    the frame is None.
+    If the organ has an inclusion, the frame is the one with the smallest distance between tool and
+    inclusion. Otherwise the frame is the one with the largest displacement. If nothing was
+    displaced, the frame is None.
     """
     pressed = [frame for frame in series.frames if _largest(frame) > 0.0]
     if not pressed:

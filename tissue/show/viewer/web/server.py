@@ -286,8 +286,8 @@ def _cut(line: asyncio.Transport | None) -> None:
 def page_text(kind: str, nonce: str) -> str:
     """Return the HTML text of a page.
 
-    Scripts and styles are part of the text, so the page loads no other files. Therefore the page
-    needs no other file addresses that contain the token.
+    Scripts and styles are part of the text, so the page loads no other files. The token is
+    therefore needed only in the address of the page.
     """
     text = (PAGE / f"{kind}.html").read_text("utf-8")
     script = "\n".join(
