@@ -226,8 +226,9 @@ def compliance_m_N(body: ParticleBody, fill: float) -> float:
 def at_fill(fill: float) -> dict[str, float]:
     """Compute condition numbers with and without stabilisation, and its effect on the compliance.
 
-    Cut cells are stabilised by an additional stiffness, a fraction of a full cell's inner
-    stiffness. ``fill`` is the filled fraction of each cut cell, 0 to 1.
+    Cut cells are stabilised by a fraction of the inner stiffness. The inner stiffness is the
+    stiffness of a full cell minus the stiffness of its centre point. ``fill`` is the filled
+    fraction of each cut cell, 0 to 1.
     """
     stabilised = cut_block(fill, INNER_STRENGTH)
     condition, scaled = conditions(stabilised)

@@ -54,7 +54,8 @@ A block is divided into six tetrahedra. The bar extends along x.
 def deflection(order: int, cells: tuple[int, int, int], ratio: float) -> tuple[float, float]:
     """Compute the tip deflection [m] of a clamped bar, and a flag for convergence.
 
-    The flag is 1 if the solver has converged and 0 otherwise.
+    `order` is the order of the elements, `cells` the number of blocks along each axis, and `ratio`
+    Poisson's ratio. The flag is 1 if the solver has converged and 0 otherwise.
     """
     space = Space(box((LENGTH, 1.0, 1.0), cells), order)
     # rounding of node coordinates, far below an edge
