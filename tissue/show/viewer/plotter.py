@@ -50,7 +50,8 @@ def add_text(
 ) -> Any:
     """Write a text in the window, and return its actor.
 
-    An actor with the same name is replaced. `place` is the lower left corner of the text, in fractions of the window.
+    An actor with the same name is replaced. `place` is the lower left corner of the text, in
+    fractions of the window.
     """
     actor = plotter.add_text(
         words, position=place, viewport=True, font_size=size, color=colour, name=name
