@@ -123,8 +123,8 @@ def layer_between(stored: corner8i, words: corner8i, inside: wp.vec3, nearest: B
 
     ``stored`` holds the distances of each voxel to the nearest boundary between layers (upper byte)
     and to the surface (lower byte). ``words`` holds the density (upper 16 bits) and the layer
-    (lowest 8 bits) of each voxel, or -1 where no brick is stored. The function does not call
-    `layer_of`, because 64 calls would take too long.
+    (lowest 8 bits) of each voxel, or -1 where no brick is stored. The function reads the layers
+    directly, because 64 calls of `layer_of` would take too long.
     """
     found = nearest
     far = corner8f()

@@ -226,10 +226,10 @@ def book(
     enters_reach: int,
     bricks: Bricks,
 ):
-    """Mark cuts in a block of 2 x 2 x 2 voxels as older cuts (all except the most recent cuts).
+    """Mark the cuts in a block of 2 x 2 x 2 voxels, except the most recent cuts, as older cuts.
 
     If ``enters_reach`` is 1, all cuts so far are marked. Otherwise, if ``grows_old`` is 1, only the
-    cuts before the previous call for this block are marked.
+    cuts made before the previous call for this block are marked.
     """
     for v in range(8):
         voxel = first + v
@@ -261,7 +261,7 @@ def clear_block(
 
 @wp.func
 def booked_by(removed: Int64s2D, worker: int):
-    """Return the volume that a worker (thread) has removed from all layers in this kernel launch.
+    """Return the volume, summed over all layers, that a worker (thread) removed in this launch.
 
     The unit is the stored step, 1/65535 of a voxel (see `kernels.bricks.FULL`).
     """
@@ -273,12 +273,13 @@ def booked_by(removed: Int64s2D, worker: int):
 
 @wp.func
 def flattened(near: Nearest, offset: wp.vec3, axis: wp.vec3, step: wp.vec3):
-    """Compute the bend of the tool's surface minus the bend of the swept volume's surface.
+    """Compute how much more the tool's surface bends than the surface of the swept volume.
 
     The bend is a sixth of the sum of the principal curvatures (see `Nearest`). The surface of the
     swept volume is straight along the path of the tool. This surface touches the tool where the
-    tool's normal is perpendicular to the path. Within one voxel of such a place, the difference is
-    a sixth of the tool's curvature along ``step``. Elsewhere, the difference is 0.
+    tool's normal is perpendicular to the path. Within one voxel of a point where the surfaces
+    touch, the difference is a sixth of the tool's curvature along ``step``. Elsewhere, the
+    difference is 0.
     """
     length = wp.length(step)
     if length == 0.0 or near.bend >= EDGE:

@@ -41,7 +41,7 @@ class Lanes3:
 
 @wp.func
 def lanes3(x: lanes8, y: lanes8, z: lanes8):
-    """Return the vectors of eight elements with given components."""
+    """Return eight vectors, one for each element, with the given components."""
     vectors = Lanes3()
     vectors.x = x
     vectors.y = y
@@ -51,7 +51,7 @@ def lanes3(x: lanes8, y: lanes8, z: lanes8):
 
 @wp.func
 def vectors_in(rows: Lanes2D, eight: int, first: int):
-    """Return the vectors of eight elements that are stored in three rows."""
+    """Return the vectors of eight elements from the three rows that store their components."""
     return lanes3(rows[eight, first], rows[eight, first + 1], rows[eight, first + 2])
 
 
@@ -94,10 +94,10 @@ class Elements:
 
 @wp.struct
 class Travel:
-    """Pose of a tool, and velocities of the tool's motion if its speed is 1.
+    """Pose of a tool, and velocities per unit of the tool's speed.
 
     The velocities have components along the tool's axes. The tool's axes are stored as vectors in
-    the voxel grid [voxel/m].
+    the frame of the voxel grid, with lengths in voxels per metre.
     """
 
     tip: wp.vec3  # [voxel]
@@ -136,7 +136,10 @@ def may_cut(
     everywhere: bool,
     bricks: Bricks,
 ):
-    """Return whether an element of a chunk may advance into bone, by a quick, conservative test.
+    """Return whether an element of a chunk may advance into bone.
+
+    The test is quick and conservative: the result may be true although no element advances into
+    bone.
 
     If `everywhere` is set, the direction of the motion is ignored, and only the distance from bone
     counts.

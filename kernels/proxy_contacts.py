@@ -80,7 +80,7 @@ class Contacts:
 def add_candidate(
     contacts: Contacts, count: int, slot: int, arm: wp.vec3d, normal: wp.vec3d, gap: wp.float64
 ):
-    """Record a plane that a shell point must stay above, and return the new number of planes."""
+    """Add a plane that bounds the motion of a shell point, and return the new number of planes."""
     contacts.slot[count] = slot
     contacts.arm[count] = arm
     contacts.normal[count] = normal
@@ -105,7 +105,7 @@ def forget(
 
 @wp.func
 def keep_plane(contacts: Contacts, point: int, first: int):
-    """Replace the earlier plane with the smaller force by the present plane of a point."""
+    """Replace the earlier plane that has the smaller force with the present plane of a point."""
     k = int(1)
     if contacts.press[first + 1] > contacts.press[first + 2]:
         k = int(2)
@@ -126,11 +126,11 @@ def collect_voxels(
     step: wp.float64,
     found: int,
 ):
-    """Find the planes that one shell point near voxels must stay above.
+    """Find the planes that bound the motion of one shell point near voxels.
 
-    ``found`` is the number of planes so far. Return the new number of planes, the level
-    (approximate distance) of the point [m], and the distance that is certainly free of obstacles
-    [m].
+    ``found`` is the number of planes so far. Return the new number of planes, the level [m]
+    (approximate distance of the point), and the distance [m] over which the point certainly meets
+    no obstacle.
     """
     count = found
     far = voxel_clearance(field, at)
@@ -181,12 +181,12 @@ def collect(
 ):
     """Collect all planes that are closer than ``step`` [m] to a shell point.
 
-    Return the number of planes, the smallest gap [m], and the path length [m] that is free of
-    obstacles for every point.
+    Return the number of planes, the smallest gap [m], and the path length [m] over which no point
+    meets an obstacle.
 
     A point that is far from all obstacles sleeps, that is, it is not checked for some time. A
-    sleeping point is checked early if it would otherwise limit the free path length to less than
-    ``wanted`` [m], but at most ``AHEAD`` step lengths early.
+    sleeping point is checked early, by at most ``AHEAD`` step lengths, if it would otherwise limit
+    the free path length to less than ``wanted`` [m].
     """
     early = wp.min(wanted, AHEAD * step)
     count = int(0)

@@ -55,7 +55,7 @@ def turn_between(start: wp.quatd, goal: wp.quatd):
 def motion_length(shift: wp.vec3d, turn: wp.vec3d, reach: wp.float64):
     """Return an upper bound [m] of the path length of any point of the tool during a motion.
 
-    The points lie within ``reach`` [m] of the tool's origin.
+    All points of the tool lie within ``reach`` [m] of its origin.
     """
     return wp.length(shift) + reach * wp.length(turn)
 
@@ -68,9 +68,9 @@ def pose_distance(
     goal: wp.quatd,
     reach: wp.float64,
 ):
-    """Return an upper bound [m] of the path length of any point of the tool to a goal pose.
+    """Return an upper bound [m] of the path that any point of the tool travels to a goal pose.
 
-    The points lie within ``reach`` [m] of the tool's origin.
+    All points of the tool lie within ``reach`` [m] of its origin.
 
     If ``reach`` is 0, rotations are ignored.
     """
@@ -108,7 +108,7 @@ class DescentSettings:
 
 @wp.struct
 class Descent:
-    """Progress of the proxy toward the device in a tick: poses, motion and counters."""
+    """Progress of the proxy toward the device pose in a tick: poses, motion and counters."""
 
     position: wp.vec3d  # last free pose that was found [m]
     rotation: wp.quatd
@@ -128,7 +128,7 @@ class Descent:
 
 @wp.struct
 class Reaction:
-    """Sum of the contact forces on the tool, divided by the stiffness of the coupling spring."""
+    """Resultant of the contact forces on the tool, divided by the coupling spring's stiffness."""
 
     pressing: int
     force: wp.vec3d  # with friction [m]
@@ -154,7 +154,7 @@ def first_touch(contacts: Contacts, count: int, shift: wp.vec3d, turn: wp.vec3d)
 
 @wp.func
 def reaction_of(contacts: Contacts, members: int, rub: wp.vec3d, arm: wp.vec3d):
-    """Return the sum of the contact forces: normal forces of the active set, and friction ``rub``.
+    """Return the resultant of the normal forces of the active set and the friction force ``rub``.
 
     The active set consists of the planes with force. The friction acts at ``arm``.
     """
@@ -186,7 +186,7 @@ def reaction_of(contacts: Contacts, members: int, rub: wp.vec3d, arm: wp.vec3d):
 
 @wp.func
 def halve_motion(before: Descent, reach: wp.float64):
-    """Return a copy of a `Descent` (progress of the proxy), with half of the trial motion."""
+    """Return a copy of a `Descent` (progress of the proxy) in which the trial motion is halved."""
     descent = before
     descent.halvings = before.halvings + 1
     descent.arrived = 0
@@ -200,7 +200,7 @@ def halve_motion(before: Descent, reach: wp.float64):
 
 @wp.func
 def accept_trial(before: Descent, gap: wp.float64, step: wp.float64):
-    """Return a copy of a `Descent`, with the trial pose accepted as the last free pose.
+    """Return a copy of a `Descent` in which the trial pose is the last obstacle-free pose.
 
     ``gap`` is the smallest gap [m] at the trial pose.
     """
@@ -220,12 +220,12 @@ def aim_at(
     compliance: wp.float64,
     spacing: wp.float64,
 ):
-    """Return a copy of a `Descent`, with the motion from the last free pose to the goal.
+    """Return a copy of a `Descent` whose motion leads from the last free pose to the goal.
 
-    At the goal, the spring force is zero.
+    The goal is the pose at which the spring force is zero.
 
-    If the energy of the springs has hardly decreased, the step is a stall, and the number of stalls
-    is increased by one. Otherwise, the number is reset to 0.
+    If the spring energy is not clearly below the lowest energy so far, the number of stalls is
+    increased by one. Otherwise, the number of stalls is reset to 0.
 
     If the obstacles have no voxels, ``spacing`` is 0 and no step counts as a stall.
     """
@@ -254,9 +254,10 @@ def constrain_motion(
 ):
     """Change the motion of a `Descent` such that it does not violate the contacts.
 
-    With friction, a tool without contact first moves only up to the first contact plane, because
-    friction starts there. Contact forces are not computed in this case. Return a changed copy of
-    the `Descent`, the contact forces, and a flag that is 1 if contact forces were computed.
+    If there is friction and the tool has no contact yet, the motion ends at the first contact
+    plane, because friction starts there. Contact forces are not computed in this case. Return a
+    changed copy of the `Descent`, the contact forces, and a flag that is 1 if contact forces were
+    computed.
     """
     descent = before
     if settings.friction > ZERO and last.pressing == 0 and gap > settings.tolerance:
@@ -286,7 +287,7 @@ def constrain_motion(
 
 @wp.func
 def next_trial(before: Descent, settings: DescentSettings, size: wp.float64, clear: wp.float64):
-    """Return a copy of a `Descent`, with the trial pose at the end of the copy's motion.
+    """Return a copy of a `Descent` whose trial pose is the end of the motion.
 
     ``size`` is the length of the motion [m]. If ``size`` exceeds the free path length ``clear``
     [m], the motion is shortened to ``clear``.

@@ -48,8 +48,8 @@ TINY = wp.float64(1.0e-13)
 def factorise(contacts: Contacts, members: int, compliance: wp.float64):
     """Compute the Cholesky factor of the compliance matrix of the planes in the active set.
 
-    An entry of the matrix is the motion along the normal of one plane due to a unit force at
-    another plane.
+    An entry of the matrix is the tool's motion along the normal of one plane, caused by a unit
+    force at another plane.
     """
     for i in range(members):
         a = contacts.member[i]
@@ -72,12 +72,12 @@ def factorise(contacts: Contacts, members: int, compliance: wp.float64):
 def solve_set(
     contacts: Contacts, members: int, shift: wp.vec3d, turn: wp.vec3d, gaps: wp.float64, column: int
 ):
-    """Compute the normal forces that cancel a shift and a turn at the planes of the active set.
+    """Compute normal forces that cancel the effect of a shift and a turn at the active planes.
 
     The forces are written to a ``column`` of ``contacts.side``.
 
-    If ``gaps`` is 1, the forces also close the gaps between the planes and their points. If
-    ``gaps`` is 0, the gaps are ignored.
+    If ``gaps`` is 1, the forces also close the gap between each plane and its point. If ``gaps`` is
+    0, the gaps are ignored.
     """
     for i in range(members):
         c = contacts.member[i]
@@ -252,9 +252,10 @@ def slipping_force(
     v1: wp.float64,
     bound: wp.float64,
 ):
-    """Compute the friction force of magnitude ``bound`` that acts against the remaining slip.
+    """Compute a friction force of magnitude ``bound`` that opposes the slip under this force.
 
-    The solution uses Newton's method on reciprocals (More and Sorensen 1983).
+    The solution applies Newton's method to the reciprocal of the force's magnitude (More and
+    Sorensen 1983).
     """
     f0 = wp.float64(0.0)
     f1 = wp.float64(0.0)
@@ -282,8 +283,8 @@ def friction_force(
 ):
     """Compute the friction force of the active set, and the arm at which this force acts.
 
-    The arm is the vector from the tool's origin. The method accounts for the fact that the normal
-    forces depend linearly on the friction force.
+    The arm is the vector from the tool's origin to the point at which the force acts. The method
+    accounts for the fact that the normal forces depend linearly on the friction force.
     """
     total = wp.float64(0.0)
     along = wp.vec3d()
@@ -354,9 +355,10 @@ def resolve(
 ):
     """Compute the normal and friction forces of all contacts.
 
-    Forces are divided by the stiffness of the coupling spring. Return the number of planes in the
-    active set, the number of linear systems solved, the friction force [m], and the arm [m] at
-    which the friction force acts. The normal forces are written to ``contacts.press``.
+    Forces are divided by the stiffness of the coupling spring, so their unit is m. Return the
+    number of planes in the active set, the number of linear systems solved, the friction force [m],
+    and the arm [m] at which the friction force acts. The normal forces are written to
+    ``contacts.press``.
     """
     members = int(0)
     for c in range(count):

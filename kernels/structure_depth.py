@@ -106,12 +106,12 @@ def hull_corner(
     half_angle: wp.float64,
     k: int,
 ):
-    """Return corner `k` of the hull around a cell of the medial axis, and the ball radius there.
+    """Return corner `k` of the hull around a medial-axis cell, and the ball radius at the corner.
 
     The hull encloses the ball centres of the cell. The ball centres at each end of the cell's
     segment form an arc around the tool's axis. For each of the two arcs, the hull has corners at
-    the ends of the arc and on the tangent at its middle. A concave function of centre and ball
-    radius has its smallest value at a corner of the hull.
+    the ends of the arc and on the tangent at the middle of the arc. The hull is used because a
+    concave function of ball centre and ball radius has its smallest value at a corner.
     """
     ball = wp.where(k < 4, start, end)
     turned = angle + wp.where(k % 2 == 0, -half_angle, half_angle)
@@ -144,8 +144,8 @@ def cell_bounds(
     surface [m].
 
     `cell.distance` is the known signed distance of another point from the surface, and `moved` is
-    the distance from this point to the middle of the cell. When the lower bound reaches `wanted`,
-    the function stops improving the bound.
+    the distance from this point to the middle of the cell. The function stops improving the lower
+    bound when this bound reaches `wanted`.
     """
     origin = medial.starts[segment]
     along = medial.ends[segment] - origin
@@ -233,8 +233,8 @@ def over_balls(
     """Compute a lower bound [m] of the smallest signed distance between structure and balls.
 
     The balls are the inscribed balls of the tool. Only balls whose centre lies in the structure are
-    included. On segments that `medial.across` marks, balls with centres outside are also included.
-    The result is at most `best`.
+    included. On segments that `medial.across` marks, balls whose centre lies outside the structure
+    are also included. The result is at most `best`.
     """
     smallest = best
     lowest = best

@@ -63,8 +63,8 @@ def turn_of(
 ):
     """Solve the contact forces of one triangle, one contact point after another.
 
-    Return the largest change of the position of a contact point [m], and the largest displacement
-    of the triangle's nodes before this change [m].
+    Return the largest change of a contact point's position [m], and the largest displacement [m] of
+    the triangle's nodes before this change.
     """
     a = body.corners[triangle, 0]
     b = body.corners[triangle, 1]

@@ -70,7 +70,7 @@ def gradient_product(
     pair_weight: Doubles2D,
     gradient: Vectors2D,
 ):
-    """Compute ``S / V`` for a pair of nodes in a cell. Return the cell's index and the matrix.
+    """Compute the matrix ``S / V`` for two nodes of a cell, and return it with the cell's index.
 
     S is the integral of the product of the gradients of the two shape functions, and V is the
     volume of the cell. If ``contribution`` is negative, the pair is reversed and S is transposed.

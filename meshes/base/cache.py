@@ -55,9 +55,10 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
 
     Notes
     -----
-    A file contains the arrays, their checksums, and the version of the code (the version of tissue
-    and of the module of ``make``). The arrays are computed again if the file cannot be read, or if
-    a checksum or the version does not match. If the folder cannot be written, nothing is stored.
+    A file contains the arrays, their checksums, and the version of the code. This version covers
+    tissue and the module that defines ``make``. The arrays are computed again if the file cannot be
+    read, or if a checksum or the version does not match. If the folder cannot be written, nothing
+    is stored.
     """
     digest = hashlib.blake2b(digest_size=_DIGEST_BYTES)
     for part in key:

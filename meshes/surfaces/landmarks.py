@@ -89,11 +89,12 @@ def find_site(kind: str, surface: Surface) -> FoundSite:
     Parameters
     ----------
     kind
-        ``glenoid``: centre of the shoulder socket of a scapula, z outward, y superior.
-        ``femoral-head``, ``humeral-head``: point at which the axis of the neck or of the articular
-        cap leaves the bone. ``vertebra:left``, ``vertebra:right``: posterior point at which the
-        axis of the left or right pedicle leaves the bone, z outward along the axis, y up.
-        ``vertebra``: the same point of the wider pedicle.
+        ``glenoid``: centre of the shoulder socket of a scapula. z points outward, and y is
+        superior. ``femoral-head``: point at which the axis of the neck leaves the bone.
+        ``humeral-head``: point at which the axis of the articular cap leaves the bone.
+        ``vertebra:left``, ``vertebra:right``: posterior point at which the axis of the left or
+        right pedicle leaves the bone. z points outward along this axis, and y points up.
+        ``vertebra``: the corresponding point of the wider pedicle.
     surface
         Surface of a single bone.
 
@@ -126,8 +127,9 @@ def find_glenoid(
     surface
         Scapula.
     centre_mm
-        Centre [mm] in the frame of the file, after scaling to mm. The centre is moved along the
-        normal onto the surface. If None, the glenoid is searched.
+        Centre [mm] in the frame of the file, after scaling to mm. The centre is moved onto the
+        surface along the normal of the articular plane. If None, the function searches for the
+        glenoid.
     along
         Vector in the direction of the site's x axis, with any length. The vector is projected onto
         the articular face. If None, the axes are chosen such that the site's y axis points in the

@@ -49,10 +49,10 @@ class PulpCavity:
     """Void in the dentin of a whole tooth that is assumed to be the tooth's pulp.
 
     A void is the pulp cavity if it has a plausible volume, lies in dentin, and is closed except for
-    apical foramina. Closed means that a ball with a diameter of more than 0.8 mm cannot enter the
-    void. It also means that all openings lie in the roots, with at most 1 mm2 each. Openings in the
-    crown of up to 0.05 mm2 in total are ignored. Fissures, grooves and clefts between roots are not
-    pulp cavities, because they are open along their length.
+    apical foramina. "Closed" means that a ball wider than 0.8 mm cannot enter the void. It also
+    means that all openings lie in the roots and that each has an area of at most 1 mm2. Openings in
+    the crown of up to 0.05 mm2 in total are ignored. Fissures, grooves and clefts between roots are
+    not pulp cavities, because they are open along their length.
 
     Attributes
     ----------
@@ -61,8 +61,9 @@ class PulpCavity:
     inside
         Mask of the cavity, a bool array with the shape of the voxels of `tooth`.
     away_m
-        Distance [m] of each voxel from the region that a ball's centre can reach from outside the
-        tooth. The ball has a diameter of 0.8 mm. The array has the shape of the voxels of `tooth`.
+        Distance [m] of each voxel from the set of positions that a ball's centre can reach from
+        outside the tooth. The ball has a diameter of 0.8 mm. The array has the shape of the voxels
+        of `tooth`.
     """
 
     tooth: VoxelVolume
@@ -148,7 +149,7 @@ class PulpCavity:
 
 
 def with_pulp(volume: VoxelVolume, cavity: Flags) -> VoxelVolume:
-    """Fill the cavity of a tooth in voxels with pulp.
+    """Fill the cavity of a tooth, given as voxels, with pulp.
 
     Partly filled voxels at the wall of the cavity become full, and keep their layers.
     """

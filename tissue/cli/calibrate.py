@@ -111,7 +111,7 @@ def _session(target: Path, name: str, plan: "Plan", answer: "Answer", *, overwri
 
     log = begin(target, name, plan, overwrite=overwrite)
     if log.repaired:
-        problems.print(f"{log.path} ended within a line: that trial is asked again")
+        problems.print(f"{log.path} ends in the middle of a line, so its last trial is asked again")
     if log.session.trial:
         problems.print(f"continuing at trial {log.session.trial + 1} of {log.path}")
     _ask_all(log, answer)
@@ -140,8 +140,8 @@ def _ask_all(log: "TrialLog", answer: "Answer") -> None:
     except (KeyboardInterrupt, StoppedError) as stopped:
         log.close()
         problems.print(
-            f"stopped after trial {read_log(log.path)[1].trial}: all are in {log.path}; the "
-            "same command continues there"
+            f"stopped after trial {read_log(log.path)[1].trial}. All answers are in {log.path}. "
+            "The same command continues the session"
         )
         # 130 is 128 plus the number of SIGINT, as shells expect.
         sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)

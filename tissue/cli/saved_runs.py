@@ -89,9 +89,9 @@ def compare(
     out
         Folder for the picture and the table. Without this option, the results are only printed.
     over
-        Horizontal axis of the picture: time, or depth of the tool's tip below its first contact.
-        The default is depth if, in every run, the depth is more than half of the length of the
-        tip's path in contact.
+        Horizontal axis of the picture: time, or depth of the tool's tip below its first contact,
+        for a needle along its axis. The default is depth if, in every run, the depth is more than
+        half of the length of the tip's path in contact.
     format_
         Format of the picture: png, svg or pdf; default png. The formats parquet, npz, mat and h5
         write one table with the traces of all runs. May be repeated.

@@ -92,7 +92,7 @@ def _atlas(folder: Path, only: tuple[str, ...], *, overwrite: bool) -> None:
     good = sum(entry.shown for entry in entries)
     seconds = sum(entry.took_s for entry in entries)
     console.print(
-        f"{good} of {len(entries)} pages show their boundary with the engine holding, "
-        "falling back or refusing; "
-        f"{seconds:.0f} s; open {folder / 'index.html'}"
+        f"{good} of {len(entries)} pages show the limit of their method, and that the engine stays "
+        "valid, falls back or refuses there. "
+        f"The pages took {seconds:.0f} s; open {folder / 'index.html'}"
     )

@@ -147,7 +147,7 @@ def run(
     for task in plan.tasks:
         took = sorted(trial.took_s for trial in kept if trial.key.task == task)
         console.print(
-            f"{task}: {took[len(took) // 2]:.1f} s a trial of "
+            f"{task}: median of {took[len(took) // 2]:.1f} s for a trial with "
             f"{counted(len(plan.methods), 'method')}"
         )
     if any("failure" not in row for trial in kept for row in trial.rows):

@@ -383,7 +383,7 @@ def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
     """Search for a site, and report its score and the score of the second-best site."""
     with names_of_caller(KEYS):
         found = find_site(kind, surface)
-    other = "no other place came near"
+    other = "no other place has a similar score"
     if found.second_centre_mm is not None:
         other = f"the next best place scores {found.second_score:.2f}"
     site = Placed(found.site, kind, JOINTS_MM.get(kind, 0.0))

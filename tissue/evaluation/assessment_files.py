@@ -36,8 +36,8 @@ def assessment_lines(found: Assessment) -> list[str]:
     return [
         f"no score: {found.unscored}" if hand is None else _score_line(hand),
         (
-            f"path: {apart['mean']:.2f} mm off on average, {apart['worst']:.2f} at "
-            f"{apart['worst_at_s']:.3f} s"
+            f"path: mean distance from the path {apart['mean']:.2f} mm, largest "
+            f"{apart['worst']:.2f} mm at {apart['worst_at_s']:.3f} s"
         ),
         f"depth: {figures['overshoot_mm']:.2f} mm beyond the reference's deepest point",
         f"force: peak {peak['trainee']:.3g} N against {peak['reference']:.3g}; the RMS difference "
@@ -46,14 +46,14 @@ def assessment_lines(found: Assessment) -> list[str]:
         *(
             [
                 f"removed: {removed['trainee']:.3g} mm3 against {removed['reference']:.3g}, "
-                f"{100.0 * removed['trainee'] / removed['reference']:.0f} % of the reference's"
+                f"{100.0 * removed['trainee'] / removed['reference']:.0f} % of the reference volume"
             ]
             if removed["reference"] > 0.0
             else []
         ),
         f"time from first to last contact: {time['trainee']:.2f} s against {time['reference']:.2f}",
         *(
-            f"least distance to {name}: {each['trainee']:.3f} mm against {each['reference']:.3f}"
+            f"smallest distance to {name}: {each['trainee']:.3f} mm against {each['reference']:.3f}"
             for name, each in figures["least_distance_mm"].items()
         ),
         limits_line(found),
@@ -96,7 +96,7 @@ def _mistakes(found: Assessment) -> str:
 def _score_line(hand: Steadiness) -> str:
     """Return the score of a hand in words."""
     return (
-        f"score: {hand.score:.0f} (95 %: {hand.low:.0f} to {hand.high:.0f}) by a tremor of "
+        f"score: {hand.score:.0f} (95 %: {hand.low:.0f} to {hand.high:.0f}) from a tremor of "
         f"{hand.tremor_mm:.3f} mm; {SCALE}"
     )
 

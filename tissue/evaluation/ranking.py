@@ -290,7 +290,7 @@ def ranking_lines(found: Ranking) -> list[str]:
             f"{counted(len(person.attempts), 'attempt')}"
         )
         if (gain := person.gain) is not None:
-            line += f", {gain[0]:+.1f} an attempt ({gain[1]:+.1f} to {gain[2]:+.1f})"
+            line += f", {gain[0]:+.1f} per attempt ({gain[1]:+.1f} to {gain[2]:+.1f})"
             if gain[1] <= 0.0 <= gain[2]:
                 line += ": the attempts show no change, because this interval contains 0"
         lines.append(line)
@@ -299,7 +299,7 @@ def ranking_lines(found: Ranking) -> list[str]:
                 f"{each.least_mm(name):.3f} mm" + " (breached)" * (name in each.found.breached)
                 for each in person.attempts
             )
-            lines.append(f"   least distance to {name}: {distances}")
+            lines.append(f"   smallest distance to {name}: {distances}")
     lines += _limit_lines(found)
     if len(found.people) > 1 and all(one.name.startswith("attempt") for one in found.people):
         lines.append(
@@ -473,7 +473,7 @@ def _draw_distances(found: Ranking, axes: "Axes") -> None:
                 label = f"{name}, {text}"
                 axes.plot(*np.array(points).T, marker, color=colour, label=label)
     axes.axvline(0.0, color=BREACHED, linestyle="--")
-    axes.set_xlabel("least distance of each run / mm")
+    axes.set_xlabel("smallest distance of each run / mm")
     axes.legend(fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from meshes.base.errors import InputError
 from meshes.base.text_tables import shown
 from tissue.scene.load import names_file
-from tissue.scene.messages import entries
+from tissue.scene.part import entries
 from tissue.scene.scene import Scene, without_fields
 from tissue.scene.used_constants import used_constants
 from tissue.simulation.run_folder import Summary
@@ -141,7 +141,7 @@ def coupling_notes(run: AssessedRun, other: AssessedRun, name: str) -> Iterator[
 def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]:
     """Yield a sentence for each key that differs between the scenes, except `TASK` and `FREE`."""
     if trainee is None or reference is None:
-        yield "a run has no scene.toml: whether both are of one tissue and tool is not known"
+        yield "a run has no scene.toml, so tissue and tool of the runs cannot be compared"
         return
     for key, mine, theirs in _differences(trainee, reference):
         part = key.partition(".")[0]

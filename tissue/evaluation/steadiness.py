@@ -54,7 +54,7 @@ The score of zero tremor would be infinite.
 TYPICAL = "intermediate"
 """Expertise group whose grip is assumed, because the grip of the assessed person is unknown."""
 NOVICE, EXPERT = "novice", "expert"
-SCALE = "0 is the tremor of a novice's hand alone, and 100 that of an expert's hand"
+SCALE = "0 is the tremor of a novice's hand alone, and 100 is the tremor of an expert's hand alone"
 """Explanation of the score's scale in printed results."""
 
 

@@ -28,30 +28,30 @@ from tissue.scene.tool import Probe
 
 @dataclass(frozen=True, eq=False)
 class OrganForward:
-    """Approximation of the loads near the constants of one run.
+    """Approximation of the loads for constants near the constants of one run.
 
-    If all moduli of an organ change by one factor and all other constants stay the same, the force
-    on a given path changes by this factor. Runs therefore use the cited value of the first modulus,
-    and scale the other moduli in proportion.
+    If all moduli of an organ are multiplied by one factor and all other constants stay the same,
+    the force on a given path is multiplied by the same factor. Each run therefore uses the cited
+    value of the first modulus, and the other moduli are scaled in proportion.
 
     Attributes
     ----------
     parameters, channels, times_s
         See `tissue.fitting.problem.Forward`.
     moduli
-        Indices of the moduli that scale the loads together. Empty if the loads are not proportional
-        to them, see `tissue.fitting.organ_runs.organ_parameters`.
+        Indices of the moduli to which the loads are jointly proportional. Empty if the loads are
+        not proportional to the moduli, see `tissue.fitting.organ_runs.organ_parameters`.
     at
         Constants of the run, shape (p,).
     base
         Loads of the run, shape (n, channels).
     slopes
-        Coefficients, shape (n, channels, p), that multiply the distance of each constant from `at`.
-        They are zero for the first modulus. For a relaxation time, the distance is measured in its
-        logarithm.
+        Coefficients, shape (n, channels, p), that multiply the difference between each constant and
+        its value in `at`. They are zero for the first modulus. For a relaxation time, the
+        difference of the logarithms is used.
     curved
         Coefficients, shape (n, channels, p, p), that multiply the squares and products of the
-        distances. The matrix is symmetric: entries (i, j) and (j, i) each hold half of the
+        differences. The matrix is symmetric: entries (i, j) and (j, i) each hold half of the
         coefficient of a product.
     """
 
@@ -65,10 +65,10 @@ class OrganForward:
     curved: Array
 
     def reduced(self, x: Array) -> tuple[float, Array]:
-        """Return the ratio of the loads at `x` to the loads of a scaled run, and its constants.
+        """Return the load ratio between `x` and a run with scaled moduli, and that run's constants.
 
-        One factor scales the moduli in `x` to the moduli of this run, whose first modulus is that
-        in `at`. If `moduli` is empty, the results are 1 and `x`.
+        All moduli in `x` are scaled by one factor. In the scaled run, the first modulus is equal to
+        the first modulus in `at`. If `moduli` is empty, the results are 1 and `x`.
         """
         x = np.asarray(x, dtype=float)
         # the loads are not proportional to moduli: a run with x itself is needed
@@ -106,17 +106,17 @@ class OrganForward:
     def moved(self, at: Array, base: Array, *, learnt: float) -> "OrganForward":
         """Return a model with the loads of another run as its base, and with corrected slopes.
 
-        With the corrected slopes, the model of the last run predicts the loads of the other run
-        (Broyden 1965).
+        With the corrected slopes, the present model predicts the loads of the other run (Broyden
+        1965).
 
         Parameters
         ----------
         at, base
             Constants of the other run, and its loads.
         learnt
-            Step from the last run, in standard deviations of the priors, below which slopes are not
-            corrected. The loads over a shorter step mainly show single nodes that come into
-            contact.
+            Smallest step from the last run, in standard deviations of the priors, for which the
+            slopes are corrected. On a shorter step, the change of the loads comes mainly from
+            single mesh nodes that come into contact.
         """
         distance = self.distance(at)
         middle = np.array([each.prior.value for each in self.parameters])
@@ -131,7 +131,7 @@ class OrganForward:
         return replace(self, at=at, base=base, slopes=slopes)
 
     def distance(self, x: Array) -> Array:
-        """Return the distance from the constants of the run to other constants, shape (p,)."""
+        """Return the difference between `x` and the constants of the run, shape (p,)."""
         return np.where(self._logarithmic, np.log(x / self.at), x - self.at)
 
     @cached_property
@@ -207,8 +207,8 @@ class Settled:
     posterior
         Posterior of the constants given the log.
     away
-        Distance of the most probable constants from the constants of the last run, in standard
-        deviations.
+        Largest distance of a most probable constant from its value in the last run, in standard
+        deviations of the constant.
     """
 
     forward: OrganForward
@@ -219,11 +219,11 @@ class Settled:
 def organ_problem(
     scene: Scene, log: MeasuredLog, free: Sequence[str], *, cores: int | None, progress: Progress
 ) -> Problem:
-    """Return the data for fitting a probe that presses an organ, see `fit_scene`.
+    """Return the fit data for the log of a probe that presses an organ (see `fit_scene`).
 
     The organ is simulated along the poses of the log with the initial constants, and then with one
-    constant changed at a time. Further runs use the fitted constants, until these agree with the
-    constants of the last run.
+    constant changed at a time. Further runs use the fitted constants, until the next fit agrees
+    with the constants of the last run.
     """
     poses = Poses(log.times_s, log.tips_m, log.quaternions_of(scene))
     parameters, moduli = organ_parameters(scene, free)
@@ -265,8 +265,8 @@ def _on_finer_mesh(
         mixed[rows] = base[rows]
         parts.append(replace(forward, base=mixed))
     return (replace(forward, base=base), *parts), (
-        f"a mesh of {1.0 / FINER:.0%} of the edges changes the loads by {share:.1%}, which the "
-        "intervals contain"
+        f"a mesh with {1.0 / FINER:.0%} of the edge lengths changes the loads by {share:.1%}. The "
+        "intervals contain this change"
     )
 
 
@@ -290,12 +290,12 @@ def settled(
     measured: MeasuredLoads,
     progress: Progress,
 ) -> Settled:
-    """Return a model of the loads, computed from runs near the most probable constants of a log.
+    """Compute a model of the loads from runs near the most probable constants of a log.
 
     Slopes are computed from the load differences between runs with nearby constants. Further runs
-    use the fitted constants and correct the slopes, until the fitted constants agree with the
-    constants of the last run. The slopes are then computed again at these constants, with changes
-    as wide as the uncertainty of the constants.
+    use the fitted constants and serve to correct the slopes. They end when the fitted constants
+    agree with the constants of the last run. The slopes are then computed again at these constants.
+    The change of each constant is as large as its uncertainty.
     """
     at = np.array([each.prior.x(0.0) for each in parameters])
     spread = None

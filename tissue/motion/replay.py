@@ -102,9 +102,10 @@ class GivenPoses(Motion):
 
 
 class ReplayPoses(GivenPoses):
-    """Recorded motion through poses at given times, resampled to ticks before the run.
+    """Recorded motion through poses at given times.
 
-    Positions are interpolated linearly, and orientations along the shortest rotation.
+    The poses are resampled to ticks before the run. Positions are interpolated linearly, and
+    orientations are interpolated along the shortest rotation.
 
     Parameters
     ----------
@@ -143,8 +144,8 @@ def read_replay(path: Path) -> ReplayPoses:
     Raises
     ------
     InputError
-        If the file is missing, has too few columns, or holds values that are not finite, or if its
-        times do not increase.
+        If the file is missing, has too few columns or values that are not finite, or has times that
+        do not increase.
     """
     where = PoseFile(path, "motion.file")
     if not is_file(path):
@@ -217,7 +218,10 @@ FORMAT = 2
 
 
 def write_poses(path: Path, poses: Array, volume: VoxelVolume) -> None:
-    """Write the poses of a tool, and origin and spacing of the cut voxels, to a .npz file."""
+    """Write a tool's poses, and the grid of the voxels that it cuts, to a .npz file.
+
+    The grid is given by its origin and its spacing.
+    """
     with whole_file(path) as temporary, temporary.open("wb") as file:
         arrays = {
             "poses": poses,
@@ -228,7 +232,7 @@ def write_poses(path: Path, poses: Array, volume: VoxelVolume) -> None:
 
 
 def read_poses(path: Path) -> tuple[Array, Array, float]:
-    """Read poses, the origin of the voxels [m], shape (3,), and their spacing [m].
+    """Read the poses, and the origin [m], shape (3,), and spacing [m] of the voxels.
 
     The file was written by `write_poses`.
 
@@ -265,10 +269,10 @@ def read_poses(path: Path) -> tuple[Array, Array, float]:
 
 
 def poses_of_trace(tips_m: Array, axes: Array) -> Array:
-    """Build the poses of a run from its trace, if the pose file is missing.
+    """Build the poses of a run from its trace, as a substitute for a missing pose file.
 
-    A bone shape that is computed from these poses has an error of about the distance that the tool
-    moves between two cuts.
+    If the shape of the cut bone is computed from these poses, its error is about the distance that
+    the tool moves between two cuts.
 
     Parameters
     ----------

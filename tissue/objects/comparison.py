@@ -155,10 +155,10 @@ class Comparison:
         Parameters
         ----------
         over
-            ``time``; or ``depth`` of the tool's tip below the point of first contact. Over depth,
-            only the ticks are drawn in which the tip is deeper than in all earlier ticks. The
-            default is depth if, in every run, the depth is more than half of the length of the
-            tip's path in contact. A needle that is withdrawn is drawn over time.
+            ``time``; or ``depth`` of the tool's tip below the point of first contact, for a needle
+            along its axis. Over depth, only the ticks are drawn in which the tip is deeper than in
+            all earlier ticks. The default is depth if, in every run, the depth is more than half of
+            the length of the tip's path in contact. A needle that is withdrawn is drawn over time.
 
         Returns
         -------

@@ -47,7 +47,8 @@ from tissue.objects.press import organ_around
 from tissue.objects.simulate import TickRow
 from tissue.objects.tools import PressingTool
 from tissue.objects.trace import Trace
-from tissue.scene.scene import Scene
+from tissue.scene.scene import OWN_DISTANCES, Scene
+from tissue.scene.tool import Tool
 from tissue.simulation import loop as engine
 from tissue.simulation.builders.arguments import require_known
 from tissue.simulation.builders.parts import Parts
@@ -201,7 +202,14 @@ class Loop:
                     "scene, use tissue.simulate(scene, device=...)"
                 )
             given = {"tool": tool, "start_mm": start_mm, "axis": axis}
-            leave_out(given | {"keep_clear": keep_clear} | options, "with a scene")
+            leave_out(given | options, "with a scene")
+            is_cut = isinstance(tissue.tool, Tool)
+            remedy = "name the structures in the table [keep_clear] of the scene"
+            leave_out(
+                {"keep_clear": keep_clear},
+                "with a scene" if is_cut else f"for a {tissue.tool.kind}",
+                remedy=remedy if is_cut else OWN_DISTANCES,
+            )
             made_from = scene_arguments(tissue)
             parts, prepared = posed_parts(tissue, reach_m=reach_m, cores=cores)
             self.notes = parts.notes

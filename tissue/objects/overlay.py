@@ -11,7 +11,7 @@ from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
 from tissue.objects.plots import COLOURS, new_panels
 from tissue.show.figures.figure import plain, styled, torque_unit
-from tissue.show.figures.force_depth import deepening_rows
+from tissue.show.figures.force_depth import deepening_rows, needle_travel_mm
 from tissue.simulation.bone_surface import facing
 
 if TYPE_CHECKING:
@@ -27,6 +27,8 @@ LONG = 28
 """Length of the longest name [letters] above which a line of the legend holds only two names."""
 SMALL = 0.05
 """Smallest ratio of a drawn force component to the largest force component."""
+INSERTION = "insertion_mm"
+"""Column that only the trace of a needle has."""
 MAINLY = 0.5
 """Ratio of depth to path length in contact, above which depth is the default abscissa."""
 WIDTHS = 2.2, 1.0
@@ -105,10 +107,15 @@ def _mainly_descends(trace: "Table") -> bool:
 
 
 def _heights(trace: "Table") -> tuple[Flags, Array]:
-    """Return a mask of rows in contact, and the tip's coordinate along the outward axis [mm]."""
+    """Return a mask of rows in contact, and the tip's coordinate along the outward axis [mm].
+
+    For a needle, the coordinate is the negative travel of the tip along the needle.
+    """
+    contact = trace["contact_mm2"] > 0.0
+    if INSERTION in trace.columns:
+        return contact, -needle_travel_mm(trace)
     axis, outward = facing(trace)
-    height = outward * trace.vectors("tool", "mm")[:, axis]
-    return trace["contact_mm2"] > 0.0, height
+    return contact, outward * trace.vectors("tool", "mm")[:, axis]
 
 
 @styled
@@ -126,9 +133,9 @@ def overlay(
     curves
         Runs in the order of the legend.
     over
-        ``time``; or ``depth`` below the point of first contact. Over depth, only the ticks are
-        drawn in which the tip is deeper than in all earlier ticks. See `chosen_over` for the
-        default.
+        ``time``; or ``depth`` below the point of first contact, for a needle along its axis. Over
+        depth, only the ticks are drawn in which the tip is deeper than in all earlier ticks. See
+        `chosen_over` for the default.
     about_axis
         Whether to draw the torque about the tool's axis. Otherwise the magnitude of the torque
         vector is drawn.
@@ -157,6 +164,8 @@ def overlay(
         panels[-1].set_ylabel("magnitude of the\nforce difference / N")
         panels[-1].plot(*_difference(*loads), color="0.3", linewidth=1.1)
     depth = "depth of the tool's tip from its first contact / mm"
+    if all(INSERTION in each.trace.columns for each in curves):
+        depth = "travel of the tip along the needle, from its first contact / mm"
     panels[-1].set_xlabel("time / s" if over == "time" else depth)
     _legend(panels, curves)
     plain(panels)

@@ -340,7 +340,10 @@ def press_at(
     if away > FAR * size:
         raise InputError("at_mm", "lie on the surface", in_brackets(1000.0 * at_m, ".4g"), found)
     if away > NEAR_M:
-        notes["place"] = found
+        notes["place"] = (
+            f"at_mm lies {1e3 * away:.3g} mm from the surface, so the nearest point of the "
+            f"surface is used: {nearest} mm"
+        )
     direction = -normal if along is None else require_direction("along", along)
     if direction @ normal >= 0.0:
         inward = in_brackets(0.0 - normal, ".2g")
@@ -408,8 +411,9 @@ def _resolution(mesh: TetMesh, probe: ProbeShape, point_m: Array, *, order: int)
             "less"
         }
     return {
-        "mesh": f"edges of up to {1e3 * edge:.3g} mm under a tool of {2e3 * radius:.3g} mm, which "
-        f"takes {1e3 * wanted:.3g} mm: refine the organ there"
+        "mesh": f"the edges under the tool are up to {1e3 * edge:.3g} mm long, but a tool of "
+        f"{2e3 * radius:.3g} mm needs edges of {1e3 * wanted:.3g} mm or less: refine the organ "
+        "there"
     }
 
 
@@ -426,13 +430,13 @@ def _linear(probe: ProbeShape, depth_m: float) -> dict[str, str]:
     passed = [(depth, error) for depth, error in limits if 1e3 * depth_m > depth]
     depth, error = passed[-1] if passed else limits[0]
     note = (
-        f"the linear law is within {error:.0%} of a hyperelastic force up to a depth of "
+        f"the linear law is within {error:.0%} of a hyperelastic law up to a depth of "
         f"{depth:.2g} mm"
     )
     if passed:
         note = (
-            f"pressed {1e3 * depth_m:.3g} mm deep: from {depth:.2g} mm on the linear "
-            f"law differs from a hyperelastic force by more than {error:.0%}"
+            f"pressed {1e3 * depth_m:.3g} mm deep: beyond {depth:.2g} mm, the force of the linear "
+            f"law differs by more than {error:.0%} from the force of a hyperelastic law"
         )
     return {"linear": note}
 

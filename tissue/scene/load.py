@@ -22,9 +22,9 @@ from tissue.materials.scene_constants import Materials
 from tissue.scene.messages import error_of, idle_keys
 from tissue.scene.part import is_file_key, removal_of
 from tissue.scene.plugins import refusal
-from tissue.scene.registry import CUTTERS, PERCEPTIONS, SCENES
+from tissue.scene.registry import PERCEPTIONS, SCENES
 from tissue.scene.scene import Scene
-from tissue.scene.tool import Tool
+from tissue.scene.tool import kept_entries
 
 FORMAT = 2
 """Version of the scene file format.
@@ -511,7 +511,11 @@ def parse_overrides(texts: Iterable[str]) -> dict[str, object]:
 
 
 def _place(table: dict[str, object], key: str, value: object) -> None:
-    """Set the value of a dotted key; a new ``kind`` removes keys that this kind does not have."""
+    """Set the value of a dotted key.
+
+    A new ``kind`` removes the other keys of its table, except the keys of a cutter or a motion that
+    the new kind has, too.
+    """
     *parents, last = key.split(".")
     if len(parents) > DEEPEST:
         raise InputError(
@@ -532,18 +536,7 @@ def _place(table: dict[str, object], key: str, value: object) -> None:
         table = inner
     # Devices of all kinds have the same keys, so a new kind of device keeps the other keys.
     if last == "kind" and parents != ["device"] and table.get("kind", value) != value:
-        kept = _kept_of_cutter(table, value) if parents == ["tool"] else {}
+        kept = {} if len(parents) != 1 else kept_entries(parents[0], table, value)
         table.clear()
         table.update(kept)
     table[last] = value
-
-
-def _kept_of_cutter(tool: Mapping[str, object], kind: object) -> dict[str, object]:
-    """Return the entries of a cutter's table that are also valid for another kind of cutter.
-
-    ``shell_spacing_mm`` is not returned, because it was chosen for the shape of the old cutter.
-    """
-    if str(tool["kind"]) not in CUTTERS or str(kind) not in CUTTERS:
-        return {}
-    has = {*Tool.model_fields, *CUTTERS[str(kind)].keys} - {"shell_spacing_mm"}
-    return {key: value for key, value in tool.items() if key in has}

@@ -344,6 +344,15 @@ def removal_of(keys: Collection[str]) -> str:
     return f"{names} of the scene {has} no effect after the changes and {was} removed"
 
 
+def entries(table: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
+    """Yield the dotted keys and the values of nested tables."""
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            yield from entries(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
 def is_given(part: "Part", name: str) -> bool:
     """Return whether a key of a table was set to a value other than its default."""
     return (

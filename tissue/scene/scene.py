@@ -66,6 +66,13 @@ def _as_list(value: object) -> object:
     return [value] if isinstance(value, str) else value
 
 
+OWN_DISTANCES = (
+    "replace keep_clear by your own computation of distances from the tip positions and directions "
+    "in the trace (for a needle, deflection_mm is the displacement of the tissue along its axis)"
+)
+"""Remedy for `keep_clear` in a scene whose tool is a needle, a blade or a probe."""
+
+
 class KeepClear(Part):
     """Structures that the tool must not touch.
 
@@ -247,7 +254,10 @@ class Scene(Part):
     motion: AnyMotion
     """Motion of the tool."""
     keep_clear: KeepClear | None = None
-    """Structures that the tool must not touch."""
+    """Structures that the tool must not touch. The tool must cut bone or teeth. For a needle,
+    compute distances from the tip positions and directions in the trace; `deflection_mm` is the
+    displacement of the tissue along the needle.
+    """
     cutting: Cutting = Cutting()
     """Changes to the built-in cutting coefficients."""
     output: Output = Output()
@@ -314,17 +324,18 @@ class Scene(Part):
         kind = self.anatomy.kind
         wanted = ANATOMIES[kind].tool
         if not isinstance(self.tool, wanted):
-            names = ", ".join(
+            kinds = [
                 kind for part in tool_parts() if issubclass(part, wanted) for kind in kinds_of(part)
-            )
+            ]
+            names = kinds[0] if len(kinds) == 1 else f"one of {', '.join(kinds)}"
             got = self.tool.kind
-            remedy = "choose one of these"
+            remedy = f"choose {names}" if len(kinds) == 1 else "choose one of these"
             fitting = (
                 each for each in ANATOMIES.known if isinstance(self.tool, ANATOMIES[each].tool)
             )
             if (other := next(fitting, None)) is not None:
                 remedy += f', or set anatomy.kind = "{other}" for a {got}'
-            raise InputError("tool.kind", f"be one of {names} for a {kind}", got, remedy)
+            raise InputError("tool.kind", f"be {names} with anatomy.kind = {kind}", got, remedy)
         # The model of the wall is one spring at the lowest point of a ball.
         if kind == "wall" and self.tool.kind != "sphere-probe":
             raise InputError(
@@ -401,6 +412,9 @@ class Scene(Part):
                     f"give constants of the tissue, such as {ENTERED[type(self.tool)]}, in the "
                     "file that materials names"
                 )
+            if table == "keep_clear" and not is_cut:
+                where = f"for a {self.tool.kind}, which cuts neither bone nor teeth"
+                remedy = OWN_DISTANCES
             yield table, table not in reads, where, remedy
         if isinstance(anatomy, BlockImage):
             yield (

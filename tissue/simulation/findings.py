@@ -57,6 +57,12 @@ LEAST_DENSE = 0.001
 
 The share was chosen by judgement.
 """
+SHORTEST_RECORDING_MM = 0.5
+"""Extent of a recorded motion along an axis [mm] below which a note suggests to check the unit.
+
+A hand moves a tool farther, and 0.5 m of a motion read in mm instead of m has this extent. The
+value was chosen by judgement.
+"""
 FORWARD = 0.5
 """Smallest ratio of axial travel to travel in a tick that counts as forward motion.
 
@@ -78,6 +84,8 @@ def findings(
     found: dict[str, Any] = {}
     if apart_mm is not None:
         found["path_distance_mm"] = apart_mm
+    if "insertion_mm" in trace.columns:
+        found["largest_insertion_mm"] = float(trace["insertion_mm"].max())
     if rise := largest_rise(trace):
         found["largest_rise"] = rise
     cutter = parts.cutter
@@ -121,7 +129,7 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
     # The tolerance is half a tick, because durations are rounded to ticks.
     elif wanted_s >= path_s + 5e-4:
         found["path"] = (
-            f"not finished: the run ends at {path_s:g} s, the motion at {wanted_s:.6g} "
+            f"not finished: the run ends at {path_s:g} s, but the motion ends at {wanted_s:.6g} "
             f"s; set duration_s = {wanted_s:.6g}, or leave duration_s out to run the "
             "whole motion"
         )
@@ -150,6 +158,13 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
                 f"less than {100.0 * LEAST_DENSE:g} % of the bone in the region reaches {dense:g} "
                 "kg/m3. Thick voxels of a CT blur thin cortical bone; lower "
                 "anatomy.cortical_above_kg_m3, or import a finer CT"
+            )
+    if isinstance(scene.motion, ReplayMotion):
+        extent_mm = 1e3 * float(np.ptp(parts.motion.sweep_m(), axis=0).max())
+        if 0.0 < extent_mm < SHORTEST_RECORDING_MM:
+            found["length of the path"] = (
+                f"the recorded positions span only {extent_mm:.2g} mm; check that the columns of "
+                "motion.file have the units of their names"
             )
     if parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
         return found

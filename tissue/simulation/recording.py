@@ -38,10 +38,10 @@ ABOUT = (
     "The anatomy's origin lies in the middle of the block of voxels, whose axes are the world's.\n"
 )
 ABOUT_VOXELS = (
-    "A row of voxel_removed is the place of its time in voxel_time_stamp, then the voxel's "
-    "index along x, y and z; a\n"
-    "row of voxel_color that place, then red, green, blue (by density) and alpha (bone "
-    "before the cut), 0 to 255.\n"
+    "A row of voxel_removed has the row of its time in voxel_time_stamp, then the voxel's "
+    "index along x, y and z. A\n"
+    "row of voxel_color has the row of its time, then red, green, blue (from the density) and "
+    "alpha (bone before the cut), 0 to 255.\n"
     "Removal is fractional: a voxel is removed in the tick in which less than half of it is left.\n"
 )
 

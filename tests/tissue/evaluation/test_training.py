@@ -149,7 +149,7 @@ def test_latency_is_hidden_on_the_wall(kind, share, primary):
 def test_training_again_gives_the_shipped_predictor(command, here):
     """A run can use the file that the command writes."""
     code, output, _ = command("train", "wall")
-    assert code == 0 and "held out" in output and "koopman" in output
+    assert code == 0 and "held-out" in output and "koopman" in output
     hidden, *_ = motor_error("koopman", **{"coupling.predictor_file": str(here / "wall.npz")})
     assert hidden < 0.025
     again, shipped = Trained.read(here / "wall.npz"), Trained.read(shipped_file("wall"))

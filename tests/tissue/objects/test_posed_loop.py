@@ -138,6 +138,14 @@ def test_a_tool_that_leaves_the_prepared_region_is_reported():
         loop.restore(inside)
 
 
+def test_tables_that_a_loop_does_not_use_are_noted():
+    loop = tissue.Loop(tissue.load_scene("needle", {"device": "touch"}))
+    assert loop.notes["not used"].startswith("device of the scene, because a program moves")
+    plain = tissue.Loop("needle")
+    assert "not used" not in plain.notes
+    assert "also valid outside this region" in plain.notes["reach"]
+
+
 def test_a_tip_that_is_rounded_to_six_digits_stays_in_the_prepared_region():
     loop = made("needle", reach_mm=0.0)
     loop.reset([0, 0, 5])

@@ -91,8 +91,8 @@ class ExplicitCutting(Page):
     name = "explicit_cutting"
     title = "Explicit step of a cutting tool"
     question = (
-        "The cutting force increases with the feed so fast that it acts as a damper c. How long "
-        "may a step of a tool be that is pushed into bone?"
+        "The cutting force increases with the feed and acts as a damper c. How long may the time "
+        "step be for a tool that is pushed into bone?"
     )
     source = (
         "Euler's explicit rule on m dv/dt = F − cv needs Δt < 2m/c; c of a burr of 6 mm, 1 mm deep "

@@ -408,9 +408,10 @@ class ThinWalls(Page):
             # leave it before it was pushed much.
             (np.abs(ratio - 1.0) < 0.25).all(),
             kept == len(thrown["end_m"]),
-            f"Devices cross the penalty wall from {ratio.min():.2f} to {ratio.max():.2f} times the "
-            f"speed (h/2)√(K/m) on: a wall of {1e3 * penalty['thickness_m'][0]:.1f} mm at "
-            f"{1e3 * penalty['crossed_from_m_s'][0]:.0f} mm/s. With the proxy {kept} of "
+            f"The lowest speed at which a device crosses the penalty wall is {ratio.min():.2f} to "
+            f"{ratio.max():.2f} times (h/2)√(K/m). For a wall of "
+            f"{1e3 * penalty['thickness_m'][0]:.1f} mm, it "
+            f"is {1e3 * penalty['crossed_from_m_s'][0]:.0f} mm/s. With the proxy {kept} of "
             f"{len(thrown['end_m'])} devices come back, up to {thrown['speed_m_s'].max():g} m/s.",
         )
 

@@ -310,7 +310,11 @@ def questioner(
         yield simulated_answers(people, observer_seed), limits.force_limit_N
         return
     if opened is None:
-        show("bars represent forces, as no force can be felt here: what is calibrated is the eye")
+        show(
+            "bars represent the forces, because no force can be felt here: the session "
+            "calibrates the "
+            "eye, not the sense of force"
+        )
         person = Person(None, limits=limits, read=read, show=show)
         yield lambda asked, _: person.answer(asked), limits.force_limit_N
         return

@@ -219,13 +219,14 @@ def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, st
     rank = "the cheapest" if wanted.force_error is not None else "the most accurate"
     names = "; ".join(each.name for each in found.settings)
     sentence = (
-        f"{setting.name}, of {names}: force {100.0 * point.force_error:.2g} % over ticks, "
-        f"{100.0 * point.error_50_ms:.2g} % over 50 ms, from {reference_words(scene, found.gap)}; "
-        f"tick {point.median_us:.0f} µs, 99 % {point.p99_us:.0f} µs, {rank} of "
-        f"{len(found.points)} settings that meets {_asked(wanted)}{law}"
+        f"{setting.name} is {rank} of {len(found.points)} settings that meets {_asked(wanted)}: "
+        f"force error of {100.0 * point.force_error:.2g} % over ticks and "
+        f"{100.0 * point.error_50_ms:.2g} % over 50 ms, against "
+        f"{reference_words(scene, found.gap)}; tick of {point.median_us:.0f} µs, 99 % of ticks "
+        f"below {point.p99_us:.0f} µs; measured settings: {names}{law}"
     )
     if force_only(plain):
-        sentence += "; leaves out displacement and stress, which no force needs"
+        sentence += "; without displacement and stress, which no force needs"
     return at, sentence
 
 

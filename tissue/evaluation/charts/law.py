@@ -119,7 +119,7 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
                 f"be reachable with a law of {scene.name} on this machine",
                 f"force_error = {wanted.force_error:g}, tick_ms = {wanted.tick_ms:g}",
                 (
-                    f"raise one of both: {of_linear}, and organ.law = {needed} needs "
+                    f"raise one of these two values: {of_linear}, and organ.law = {needed} needs "
                     f"tick_ms = {tick_ms:.2g}"
                 ),
             )

@@ -108,14 +108,16 @@ def reference_words(scene: Scene, gap: float) -> str:
         return f"the exact geometry (known to {percent})"
     if not grids(model, quick=True):
         return (
-            "a prompt loop with the model, which has no grid"
+            "a loop without latency, with the model itself, which has no grid"
             if by_hand
             else "the model itself, which has no grid"
         )
-    grid = "a prompt loop with the finest grid" if by_hand else "the finest of three grids"
+    grid = (
+        "a loop without latency, with the finest grid" if by_hand else "the finest of three grids"
+    )
     if exact:
-        return f"{grid} ({percent} off the exact geometry)"
-    return f"{grid} (grid-convergence index {percent}, of the discretisation alone)"
+        return f"{grid} (which differs by {percent} from the exact geometry)"
+    return f"{grid} (grid-convergence index of {percent}, for the discretisation alone)"
 
 
 EXCERPT_S = {True: 1.2, False: 3.0}

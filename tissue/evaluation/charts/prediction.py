@@ -230,7 +230,7 @@ def _verdict(found: PredictorComparison, kind: str, at_delay: Mapping[str, Inter
     ratio = at_delay[kind].mean / at_delay["hold"].mean
     return (
         f"{found.scene:>12}  {kind}: {ratio:.2f} times the error of hold. It is {verdict} the best "
-        f"other, {best}: their errors in the same run differ by {100 * apart.mean:+.2f} "
+        f"other predictor, {best}: the errors in the same run differ by {100 * apart.mean:+.2f} "
         f"({100 * apart.low:+.2f} to {100 * apart.high:+.2f})"
     )
 

@@ -87,7 +87,7 @@ def notes_before(names: Sequence[str]) -> list[str]:
         for kind in charted(load_scene(name)):
             if kind.device is not None and (missing := untrained(kind)):
                 notes.append(
-                    f"{name}: {', '.join(missing)} are left out, no trained predictor. "
+                    f"{name}: {', '.join(missing)} are left out, because they are not trained. "
                     f"Train one with 'tissue train {name}'."
                 )
     return notes
@@ -98,7 +98,9 @@ def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
     lines = []
     for each in (frontier for both in found for frontier in both):
         scene = each.scene
-        lines.append(f"{scene.name} {_how(scene)}, held to {reference_words(scene, each.gap)}")
+        lines.append(
+            f"{scene.name} {_how(scene)}, compared with {reference_words(scene, each.gap)}"
+        )
         if any(point.family == "cutting" for point in each.points):
             lines.append(
                 "  simpler laws and drills: error against the scene's own law, not against "

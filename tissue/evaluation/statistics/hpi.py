@@ -213,7 +213,7 @@ def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumptio
         Assumption(
             "metrics agree",
             agree,
-            "better by one metric goes with worse by another, so the weights mix both"
+            "methods that are better by one metric are worse by another, so the weights mix both"
             if not agree
             else "all loadings have one sign",
         ),

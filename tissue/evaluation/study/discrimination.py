@@ -286,10 +286,11 @@ def _sentences(changes: Mapping[tuple[str, str, str], Array]) -> tuple[list[str]
     """
     headline = ""
     sentences = [
-        f"Right answers of {PEOPLE} simulated people of each group in two intervals, 50 % being "
-        "chance. Forces are those that reach the hand in the runs of each method: after latency, "
-        "low-pass, range, amplifier and friction of the device. Their scatter is that over a "
-        "person's trials, and the person's own noise comes after it."
+        f"Right answers of {PEOPLE} simulated people of each group in two-interval trials (chance: "
+        "50 %). The forces are those that reach the hand in the runs of each method, after "
+        "latency, "
+        "low-pass filter, range, amplifier and friction of the device. They scatter as over a "
+        "person's trials, and the person's own noise is added."
     ]
     for method in dict.fromkeys(method for _, _, method in changes):
         part = np.array([each for (*_, name), each in changes.items() if name == method])
@@ -303,9 +304,11 @@ def _sentences(changes: Mapping[tuple[str, str, str], Array]) -> tuple[list[str]
             headline = f"{method} changes the sensitivity d′ at the skin {move} against {PLAIN}."
         sentences.append(
             f"{method} changes d′ {move} against {PLAIN} and right answers by "
-            f"{right[0].min():+.1f} to {right[0].max():+.1f} points; by its interval d′ is greater "
-            f"in {(d[1] > 0.0).sum()} and smaller in {(d[2] < 0.0).sum()} of {len(part)} pairs and "
-            "groups."
+            f"{right[0].min():+.1f} to {right[0].max():+.1f} percentage points. Of {len(part)} "
+            "pairs "
+            f"and groups, the interval of the change shows a larger d′ in {(d[1] > 0.0).sum()} "
+            "and a "
+            f"smaller d′ in {(d[2] < 0.0).sum()}."
         )
     weak = dict.fromkeys(key[0] for key, each in changes.items() if not np.isfinite(each[1, 0]))
     if weak:

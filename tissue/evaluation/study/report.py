@@ -164,7 +164,8 @@ def _overview(folder: StudyFolder) -> Section:
     ]
     empty = [group for group in plan.groups if not any(counts[task, group] for task in plan.tasks)]
     sentences = [
-        f"{len(kept)} of {sum(1 for _ in plan.all_trials())} trials are there, seed {plan.seed}, "
+        f"{len(kept)} of {sum(1 for _ in plan.all_trials())} trials are complete, seed "
+        f"{plan.seed}, "
         f"version {package_version()}; methods {', '.join(plan.methods)}. Every trial has a "
         f"latency of {LATENCY_MS} ms on the device touch.",
         "Simulated people differ in pace, exponent and threshold. Groups differ in hand and "
@@ -172,14 +173,14 @@ def _overview(folder: StudyFolder) -> Section:
         "No real person took part. The results do not measure physical fidelity: forces are "
         "compared with the ideal force of this program, as the paper compares its forces with its "
         "own ideal.",
-        f"Figures of the paper: {SOURCE}. Tasks are compared with it that meet all conditions that "
-        "it states; it states no geometry, tool or path.",
+        f"Figures of the paper: {SOURCE}. Only tasks that meet all conditions stated in the paper "
+        "are compared with it. The paper states no geometry, tool or path.",
     ]
     if after := [text for text, tasks in CHOSEN_AFTER if set(tasks) & set(plan.tasks)]:
         sentences.append(f"Chosen after results of earlier studies were known: {' '.join(after)}")
     if empty:
         sentences.append(
-            f"No trial yet of {', '.join(empty)}: the figures are of the other groups."
+            f"There is no trial of {', '.join(empty)} yet: the figures hold for the other groups."
         )
     for what, names in failures_of(kept).items():
         sentences.append(f"{len(names)} failed, {what} ({names[0]}{', ...' * (len(names) > 1)}).")

@@ -144,7 +144,9 @@ class SafeDevice:
                 f"because {late}"
             )
         if held := max(self._force.limited, self._torque.limited):
-            found.append(f"the device's slew held the force back in {counted(held, 'tick')}")
+            found.append(
+                f"the device's limit of the force rate reduced the force in {counted(held, 'tick')}"
+            )
         stated = self._states.happened() if self._states is not None else []
         return stated + [(self._time_s, what) for what in found]
 
@@ -343,14 +345,14 @@ class SafeDevice:
         if self._closed:
             return ""
         if close is None:
-            return "; it has no close and may still push, switch it off"
+            return "; it has no method close and may still push: switch it off"
         self._closed = True
         if self._holder is not None:
             self._holder._closed = True
         return (
             "; it was closed"
             if returned_within(ANSWER_S, close)
-            else "; it did not close and may still push, switch it off"
+            else "; it did not close and may still push: switch it off"
         )
 
     def _failed(self, name: str, error: Exception) -> DeviceError:

@@ -35,14 +35,14 @@ MOST_BRICKS = 2.5e8
 
 
 class BricksOnDemand:
-    """Bricks of an anatomy, made patch by patch when a tool first reaches them.
+    """Bricks of an anatomy that are made patch by patch when a tool first reaches them.
 
     Parameters
     ----------
     anatomy
         The bone.
     spacing_m
-        Edge of a voxel [m].
+        Edge length of a voxel [m].
 
     Attributes
     ----------
@@ -129,7 +129,7 @@ class BricksOnDemand:
         return bool(self._made[low[0] : high[0], low[1] : high[1], low[2] : high[2]].all())
 
     def cut_parts(self) -> Iterator[tuple[VoxelVolume, Bytes]]:
-        """Yield the voxels before any cut and the remaining fractions of each part that was cut.
+        """Yield voxels before any cut and their remaining fractions for each part that was cut.
 
         A fraction of 255 means a full voxel. The parts are boxes. Neighbouring boxes share one
         layer of voxels, so an isosurface has no gap between them.

@@ -175,8 +175,9 @@ class IncisionFields:
         """Sentence that describes the fields."""
         size = by(1e3 * np.ptp(self.series.nodes_m, axis=0), ".0f")
         return (
-            f"a linear-elastic block of {size} mm, split by the first cut, whose faces part under "
-            "the stress of the prestrain: a picture, not a second model of the force"
+            f"a linear-elastic block of {size} mm, split by the first cut. Its faces open under "
+            "the stress of the prestrain. The block serves the pictures; the force does not depend "
+            "on it"
         )
 
     def compute(self) -> None:

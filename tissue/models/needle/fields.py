@@ -214,10 +214,10 @@ class NeedleFields:
         first, second = self._lame_Pa
         modulus_kPa = 1e-3 * second * (3.0 * first + 2.0 * second) / (first + second)
         return (
-            f"the linear-elastic answer of a block of {size} mm around the first track to the "
-            "deflection that the needle's model gives. Stress and reaction are those of a modulus "
-            f"of {modulus_kPa:.3g} kPa (soft.liver.modulus_kPa), which does not follow from the "
-            "needle's constants: a picture, not a second model of the force"
+            f"a linear-elastic block of {size} mm around the first track, displaced by the "
+            "deflection of the needle's model. Stress and reaction follow from a modulus of "
+            f"{modulus_kPa:.3g} kPa (soft.liver.modulus_kPa), not from the needle's constants. The "
+            "block serves the pictures; the force does not depend on it"
         )
 
     def forces_N(self, deflection_m: float, inserted_m: float) -> Array:

@@ -293,9 +293,8 @@ class LiverModel:
         while self._limits and measures[0] > 1e3 * self._limits[0][0]:
             depth, error = self._limits.pop(0)
             self.notices.append(
-                f"pressed {1e3 * depth:.1f} mm deep: from here linear elasticity is more "
-                f"than {error:.0%} off a "
-                "hyperelastic force"
+                f"pressed {1e3 * depth:.1f} mm deep: at larger depths, the force of the linear law "
+                f"differs by more than {error:.0%} from the force of a hyperelastic law"
             )
         measures[1] = result.contacts
         measures[2] = result.iterations

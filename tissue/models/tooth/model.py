@@ -255,7 +255,7 @@ class ToothModel(MilledTissue):
             return
         if record.debris_m3 > 0.0:
             self.notices.append(
-                f"{1e9 * record.debris_m3:.3g} mm3 of tooth hang on nothing and are taken as debris"
+                f"{1e9 * record.debris_m3:.3g} mm3 of the tooth are cut loose and count as debris"
             )
         if record.outcome != "CONVERGED":
             self.notices.append(
@@ -265,8 +265,8 @@ class ToothModel(MilledTissue):
             self._late_reported = True
             self.notices.append(
                 f"solving the stress took {record.solve_s:.2f} s, {SLOW} of "
-                f"{self._interval_s:g} s: the run waits for "
-                "it, a device would not"
+                f"{self._interval_s:g} s: this run waits for "
+                "the solution, a run with a real device does not"
             )
 
     def finish(self) -> None:

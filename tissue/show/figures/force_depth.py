@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Flags, Ints
+from tissue.models.needle.parameters import LEAST_COSINE
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.tool import Probe
@@ -26,10 +27,22 @@ from tissue.simulation.bone_surface import facing, tool_axes
 from tissue.simulation.builders.force_met import chosen_scale
 from tissue.simulation.run import Run
 from tissue.simulation.saved_fields import field_label
-from tissue.simulation.trace import NO_LAYER
+from tissue.simulation.trace import NO_LAYER, Table
 
 APPROACH_MM = 0.2
 """Height above the first contact at which a plot over depth begins [mm]; chosen for the plot."""
+
+
+def needle_travel_mm(trace: Table) -> Array:
+    """Return the travel of a needle's tip beyond the undeformed surface [mm], shape (rows,).
+
+    The travel is measured along the needle, as in the events of a puncture. It is negative outside
+    the organ.
+    """
+    cosines = tool_axes(trace.quaternions())[:, 2]
+    # The model measures the height of a flatter needle outside the organ vertically.
+    cosines = np.where(cosines >= LEAST_COSINE, cosines, 1.0)
+    return -trace["tool_z_mm"] / cosines
 
 
 def deepening_rows(coordinate_mm: Array, contact: Flags) -> Ints:
@@ -212,13 +225,13 @@ def _inward(depth_mm: Array) -> Flags:
 
 @styled
 def draw_insertion(run: Run, path: Path) -> None:
-    """Draw the axial force on a needle over tip depth and over time, and mark the punctures.
+    """Draw the axial force on a needle over tip travel and over time, and mark the punctures.
 
     The panel over time also shows the elastic, cutting and friction parts of the force.
     """
     trace = run.trace
     time = trace["time_s"]
-    depth = -trace["tool_z_mm"]
+    depth = needle_travel_mm(trace)
     axes_of_tool = tool_axes(trace.quaternions())
     force = np.einsum("ij,ij->i", trace.vectors("model_force", "N"), axes_of_tool)
     # inches: two panels of equal height
@@ -262,7 +275,7 @@ def draw_insertion(run: Run, path: Path) -> None:
             )
             over_time.axvline(when, color="0.4", linestyle=":", label=label, zorder=0)
             label = ""
-    over_depth.set_xlabel("depth of the tip below the resting surface / mm")
+    over_depth.set_xlabel("travel of the tip along the needle, from the undeformed surface / mm")
     over_depth.set_ylabel("axial force / N,\npositive drives it out")
     over_time.set(xlabel="time / s", ylabel="parts of the\naxial force / N")
     plain(panels)

@@ -22,8 +22,8 @@ from tissue.materials.constants import CUT_AS, Constant, constants, listed
 from tissue.materials.scene_constants import Materials
 from tissue.scene.anatomy import Tooth
 from tissue.scene.load import names_file
-from tissue.scene.messages import entries, error_of
-from tissue.scene.part import Part
+from tissue.scene.messages import error_of
+from tissue.scene.part import Part, entries
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import Used, used_constants

@@ -214,7 +214,9 @@ def chosen_scale(scene: Scene) -> ForceScale:
     if not met.stiffness_N_m > 0.0:
         return ForceScale(factor, f"{why})")
     d_prime = series.sensitivity(at_device, factor)
-    why += f"; d′ {d_prime:.2g} expected for a tissue {STIFFER - 1.0:.0%} stiffer)"
+    why += (
+        f"; expected sensitivity d′ to a tissue that is {STIFFER - 1.0:.0%} stiffer: {d_prime:.2g})"
+    )
     return ForceScale(factor, why, d_prime)
 
 

@@ -110,7 +110,7 @@ def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tupl
     # a run with a real device uses the simulated hand only for the stability check
     holds = "checked for" if DEVICES[held.kind].is_real else "in"
     note = (
-        f"{held.kind} {holds} the hand of {person_of(held.hand)}, {held.renderer}: "
+        f"{held.kind} {holds} the hand of {person_of(held.hand)}, renderer {held.renderer}: "
         f"{'; '.join(notes)}"
     )
     return motion, note

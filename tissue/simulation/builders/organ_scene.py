@@ -93,7 +93,8 @@ def pierced(scene: Scene, motion: Motion, *, report: Progress, **settings: objec
         notes["fields"] = fields.note
         if scene.device is not None:
             notes["fields"] += (
-                f"; a hand that enters up to {1e3 * near:g} mm from the track is drawn as on it"
+                f"; if a hand enters at most {1e3 * near:g} mm from the track, the picture shows "
+                "the needle on the track"
             )
     return Parts(motion, NeedleModel(tissue, diameter_m=diameter, fields=fields), notes=notes)
 

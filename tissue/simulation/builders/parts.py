@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -124,6 +125,27 @@ def recorded_file(scene: Scene) -> str:
     if plays_record(scene):
         return scene.held.hardware.address
     return scene.motion.file if isinstance(scene.motion, ReplayMotion) else ""
+
+
+def require_no_pause(scene: Scene) -> None:
+    """Raise an error if two consecutive points of a path are equal.
+
+    `FollowPath` would ignore such a point, and the tool would not pause there. Folders of earlier
+    runs may have such a path, so the scene is checked before a run and not when it is read.
+    """
+    if not isinstance(scene.motion, PathMotion):
+        return
+    points = scene.motion.points_mm
+    for number, (point, following) in enumerate(pairwise(points), start=1):
+        # A path without any other point has an error of its own.
+        if point == following and len(set(points)) > 1:
+            raise InputError(
+                "motion.points_mm",
+                "not repeat a point",
+                f"{in_brackets(point, 'g')} as points {number} and {number + 1}",
+                "remove one of them. A pause of the tool needs a recorded motion with times: "
+                "motion.kind = replay",
+            )
 
 
 def motion_of(scene: Scene) -> Motion:

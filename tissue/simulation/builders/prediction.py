@@ -181,13 +181,12 @@ def perception(
     held = weber_of(observer, quantile=CAUTION)
     sentence = (
         f"as perceived by {observer.name}: changes below {held.kappa:.3g} of (F + "
-        f"{held.offset:.3g} N) are held back"
+        f"{held.offset:.3g} N) are not played"
     )
     if law.gain < 1.0:
         sentence += (
-            f", and all intensities are {law.gain**reference.beta:.3g} of the reference "
-            "observer's, so that the "
-            "device can play them in their ratios"
+            f", and all intensities are {law.gain**reference.beta:.3g} times the intensities of "
+            "the reference observer, so that the device can play their ratios"
         )
     return PerceivedForce(
         law,

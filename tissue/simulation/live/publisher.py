@@ -219,9 +219,7 @@ class SlicerProcess(WindowProcess):
         self._events = self.arrays["events"]
         self._events_count = self.arrays["events_count"]
         self._ignored = (
-            "were no pose of a tool, or of a second client"
-            if link.drives
-            else "need --slicer-drives"
+            "were not rigid or came from a second client" if link.drives else "need --slicer-drives"
         )
 
     def report(self, what: str) -> None:
@@ -239,9 +237,11 @@ class SlicerProcess(WindowProcess):
             f"published at {self.address} by OpenIGTLink: {sent} messages to {clients} clients"
         ]
         if refused:
-            words.append(f"{refused} disconnected for what they sent or did not take")
+            words.append(f"{refused} disconnected, because they sent invalid data or did not read")
         if ignored:
-            words.append(f"{ignored} transforms tissue-target ignored, which {self._ignored}")
+            words.append(
+                f"{ignored} transforms tissue-target ignored, because they {self._ignored}"
+            )
         return ", ".join(words)
 
 
