@@ -48,17 +48,17 @@ def calibrate(
         answers and a picture are written to the same folder.
     device
         Device that plays forces to a person: haply, forcedimension, sigma-7, openhaptics, network,
-        recorded, or a device of an installed package. With mouse (default), touch, omni or six-dof,
-        bars on the screen show the forces instead.
+        recorded, or a device of an installed package. The devices mouse (default), touch, omni and
+        six-dof play no force; bars on the screen show the forces instead.
     address
         Address of a real device, as in the key hardware.address of a scene; default the usual
         address of the device.
     trials
         Number of comparisons of two forces; default 120.
     numbers
-        Number of forces that the person rates with a number; default 24.
+        Number of questions in which the person rates a force by a number; default 24.
     seed
-        Seed of the order of the questions or, with --population, of the random draws.
+        Seed for the order of the questions or, with --population, for the random draws.
     overwrite
         Replace the files of an earlier session.
     """

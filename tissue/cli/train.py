@@ -17,7 +17,7 @@ def train(
     cores: MaybeWhole = None,
     overwrite: Flag = False,
 ) -> None:
-    """Train a predictor of the force in a scene, and validate it on other runs.
+    """Train a predictor of the force in a scene, and validate it on runs not used for training.
 
     In the training runs, simulated hands of novices, intermediates and experts move the tool.
 

@@ -132,7 +132,7 @@ def _run_lines(trainee: AssessedRun, reference: AssessedRun) -> list[str]:
 def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> list[Path]:
     """Write ``assessment.json`` and ``assessment.png``.
 
-    Raises InputError if `folder` is a file, or already contains an assessment and `overwrite` is
+    Raises InputError if `folder` is a file, or if it contains an assessment and `overwrite` is
     false.
     """
     data = {
@@ -156,7 +156,7 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
 
 
 def draw_assessment(found: Assessment, path: Path) -> None:
-    """Draw the quantities of trainee and reference over time, and the limits.
+    """Draw the assessed quantities of trainee and reference over time, with their limits.
 
     Time spans in which a quantity exceeds its limit are shaded. A line marks the first breach of
     each structure.

@@ -54,7 +54,7 @@ class Attempt:
         return self.found.steadiness
 
     def least_mm(self, structure: str) -> float:
-        """Return the smallest distance of the tool from a structure [mm], NaN if unknown."""
+        """Return the smallest distance [mm] of the tool from a structure; NaN if it is unknown."""
         kept = self.found.figures["keep_clear"]
         return float(kept[structure]["least_distance_mm"]) if structure in kept else float("nan")
 
@@ -118,7 +118,7 @@ class Person:
 class Ranking:
     """Trainees ordered by safety and score, the best first.
 
-    Trainees who breached a structure in a smaller fraction of their runs come first. Trainees with
+    Trainees are ordered by the fraction of their runs with a breach, smallest first. Trainees with
     equal fractions are ordered by the mean score.
 
     Attributes
@@ -128,14 +128,16 @@ class Ranking:
     people
         Ordered trainees.
     unscored
-        Trainees with the runs that have no score. The table lists these runs without a rank.
+        Trainees together with those of their runs that have no score. The table lists these runs
+        without a rank.
     left_out
-        Sentence with the reason for each run that is not ranked. For example, the run has another
-        task than the reference run, or no score.
+        Sentence with the reason for each run that is not ranked. Typical reasons are a task that
+        differs from the task of the reference run, and a missing score.
     notes
-        Names of runs, keyed by a sentence. The sentence states a difference from the scene of the
-        reference run, or an unfinished path. Sentences that differ only in numbers are merged into
-        one sentence with ranges of the numbers.
+        Names of the runs to which a note applies, keyed by the note (a sentence). The sentence
+        states that the scene differs from that of the reference run, or that the path was not
+        finished. Sentences that differ only in numbers are merged into one sentence with ranges of
+        the numbers.
     """
 
     scene: str
@@ -345,7 +347,7 @@ def write_ranking(found: Ranking, folder: Path, *, overwrite: bool) -> list[Path
     Runs without a score have no rank, and are not drawn. If no run has a score, only the table is
     written.
 
-    Raises InputError if `folder` is a file, or already contains a ranking and `overwrite` is false.
+    Raises InputError if `folder` is a file, or if it contains a ranking and `overwrite` is false.
     """
     with OwnedFolder(folder, "ranking", FILES, overwrite=overwrite):
         rows = [

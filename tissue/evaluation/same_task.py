@@ -112,8 +112,9 @@ def _task_constants(run: AssessedRun) -> dict[str, float]:
 def coupling_notes(run: AssessedRun, other: AssessedRun, name: str) -> Iterator[str]:
     """Yield a note if the motion scale or the force scale of the coupling differs between two runs.
 
-    These scales change motion and force at the device, from which the score is computed. A run
-    without a device has no coupling and gives no note. `name` is the name for `other` in the notes.
+    These scales change the motion and the force at the device; the score is computed from both. A
+    run without a device has no coupling and gives no note. `name` is the name for `other` in the
+    notes.
     """
     if run.scene is None or other.scene is None:
         return
@@ -138,7 +139,7 @@ def coupling_notes(run: AssessedRun, other: AssessedRun, name: str) -> Iterator[
 
 
 def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]:
-    """Yield a sentence for each differing scene key that is neither in `TASK` nor in `FREE`."""
+    """Yield a sentence for each key that differs between the scenes, except `TASK` and `FREE`."""
     if trainee is None or reference is None:
         yield "a run has no scene.toml, so tissue and tool of the runs cannot be compared"
         return

@@ -216,7 +216,9 @@ def test_a_study_of_few_people_is_reported(trials, groups, methods, tmp_path):
         ]
         folder.write(Trial(key, number, tuple(rows), 1.0))
     sections = {each.name: each for each in sections_of(folder)}
-    assert f"A group has at most {trials} simulated user" in " ".join(sections["overview"].sentences)
+    assert f"A group has at most {trials} simulated user" in " ".join(
+        sections["overview"].sentences
+    )
     text = " ".join(sections["index"].sentences)
     assert "-0.00" not in text
     if trials == 1 or len(groups) == 1:

@@ -67,10 +67,10 @@ def simulate_press(
 
 
 def relative_forces(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
-    """Measure three forces around a fault of the samples, relative to the force before the fault.
+    """Measure three forces during and after a sample fault, relative to the force before the fault.
 
-    The fault lasts `gap_s`. The three values are the force in its last tick, the largest force
-    after the fault, and the largest change from tick to tick during the fault.
+    The fault lasts `gap_s`. The values are the force in the last tick of the fault, the largest
+    force after it, and the largest force change between ticks during it.
     """
     fault = Fault(kind, FAULT_S, FAULT_S + gap_s)
     # 80 ms after the fault, in which the force returns
@@ -101,8 +101,8 @@ def over_gap(kind: FaultKind, gaps: Array) -> Table:
 class LostSamples(Page):
     """Lost, late or repeated samples, with and without the sample guard.
 
-    Without the guard, the force keeps its last value, or drops in a single tick. With the guard,
-    the force fades during the fault and returns after it.
+    Without the guard, the force keeps its last value, or drops to zero in a single tick. With the
+    guard, the force fades during the fault and returns after it.
     """
 
     name = "lost_samples"
@@ -123,7 +123,7 @@ class LostSamples(Page):
         return {kind: over_gap(kind, gaps) for kind in STYLES}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the forces without the guard with the fading force under the guard."""
+        """Compare the forces without the guard with the force that the guard fades out."""
         tables = data.values()
         off = max(np.abs(t["guarded_at_end"] - t["theory_at_end"]).max() for t in tables)
         # 25 ms: the 20 ms of the fade, and the age that a repeated sample may have
@@ -143,7 +143,7 @@ class LostSamples(Page):
         )
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the force at the end of the fault against its duration, with and without guard."""
+        """Draw the force at fault end against fault duration, with and without guard."""
         panels = chart.subplots(1, 2, sharey=True)
         gap = 1e3 * data["late"]["gap_s"]
         for axes, column, title in (
@@ -168,7 +168,7 @@ class LostSamples(Page):
 
 
 def forces_at_jump(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
-    """Measure the forces [N] in the ticks just before and at a position jump.
+    """Measure the forces [N] in the tick before a position jump and in the tick of the jump.
 
     The jump displaces the sample into the wall by ``jump_m`` [m]. The third result is the number of
     samples that the guard rejected.
@@ -212,7 +212,7 @@ class WildInput(Page):
         }
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the force at one wrong sample with and without the sample guard."""
+        """Compare the force in the tick of a wrong sample with and without the sample guard."""
         table = data["jump"]
         beyond = table["jump_m"] > VALID_M
         off = error_of(table["bare_N"], table["theory_N"])

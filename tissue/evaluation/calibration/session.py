@@ -35,8 +35,8 @@ class Plan:
     Attributes
     ----------
     seed
-        Seed that determines which interval holds the larger force, and the order of the forces that
-        are rated with numbers.
+        Seed that determines which interval has the larger force, and in which order forces are
+        rated.
     trials
         Number of trials in which two intervals are compared.
     numbers
@@ -75,7 +75,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Trial with two force intervals. The answer, 1 or 2, names the larger force."""
+    """Trial that compares two forces in turn; the answer, 1 or 2, names the larger force."""
 
     base_N: float
     step_N: float
@@ -187,7 +187,7 @@ class Session:
         )
 
     def observer(self, name: str) -> Observer:
-        """Return an observer with the mean and covariance of the present posteriors."""
+        """Return an observer with parameter mean and covariance from the present posteriors."""
         weber, offset, lapse, _ = self.plan.prior.parameters()
         coordinates = np.array([np.log(weber), np.log(offset), logit(lapse)])
         masses = self.threshold.posterior[:, 0]
@@ -281,7 +281,7 @@ VERSION = 1
 
 
 def log_path(out: Path) -> Path:
-    """Return the path of the trial log of an observer's file.
+    """Return the path of the trial log that belongs to an observer file.
 
     The log of ``observer.json`` is ``observer.trials.jsonl`` in the same folder.
     """

@@ -67,7 +67,7 @@ def chart_scenes(
 
 
 def charted(scene: Scene) -> list[Scene]:
-    """Return the variants of a scene to measure: with a scripted tool, with a hand, or both.
+    """Return the variants of a scene to measure: with the scene's motion, with a hand, or both.
 
     A scene with a device is measured only with a hand, unless the tool cuts.
     """
@@ -94,7 +94,7 @@ def notes_before(names: Sequence[str]) -> list[str]:
 
 
 def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
-    """Describe measured scenes in words, with a line for each Pareto-optimal setting."""
+    """Describe measured scenes in words; each Pareto-optimal setting has its own line."""
     lines = []
     for each in (frontier for both in found for frontier in both):
         scene = each.scene
@@ -158,7 +158,7 @@ def draw_frontiers(found: Sequence[Frontier], path: Path) -> None:
 
 
 def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
-    """Draw the Pareto-optimal settings of each scene, for scripted and hand-held tools.
+    """Draw the Pareto-optimal settings of each scene, with tools on a given path or in a hand.
 
     There is one panel for each scene. The settings are numbered, and the names of the settings are
     listed next to the panel.

@@ -66,7 +66,7 @@ class Solid:
     minus: Shape | None = None
 
     def distance(self, points: Array) -> Array:
-        """Return a bound of the signed distance from the solid [m], shape (n,), negative inside.
+        """Return a bound [m] of the signed distance from the solid, shape (n,), negative inside.
 
         The bound is 1-Lipschitz. The points [m], shape (n, 3), are in the world frame.
         """
@@ -111,7 +111,7 @@ class Resolution:
     Attributes
     ----------
     coarsest
-        Number of cells along a length of one tool radius, before cells are divided.
+        Number of cells per tool radius, before any cell is divided.
     divisions
         Number of times that a cell can be divided into four.
     """

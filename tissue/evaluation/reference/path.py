@@ -66,7 +66,7 @@ class ConvexPart:
         return np.where(outside, least, -least)
 
     def least_on_path(self, start: Array, end: Array, *, limit_m: Array) -> Array:
-        """Return the smallest signed distance [m] between the body and each moving point.
+        """Return each moving point's smallest signed distance [m] from the body along its path.
 
         The points move straight from ``start`` to ``end``, shape (n, 3) [m]. A result that is
         larger than ``limit_m``, shape (n,) [m], is only a lower bound of the distance.
@@ -178,8 +178,8 @@ class ToolPath:
     reach_m
         Largest distance of the tool's surface from its tip [m].
     legs
-        First and last tick of each leg, shape (legs, 2). A leg is a part of the path that is
-        straight in the tool's frame and does not reverse.
+        First and last tick of each leg, shape (legs, 2). A leg is a part of the path that is a
+        straight line, seen in the tool's frame, and does not reverse.
     """
 
     tips_m: Array
@@ -206,10 +206,10 @@ class ToolPath:
         """Return the signed distance [m] from the volume that the tool has swept before a tick.
 
         The distance is negative inside this volume, and infinite if nothing was swept. The points,
-        shape (n, 3), are in the world frame. In the leg of the tick, the first entry of `parts` is
-        ignored. On a straight path, the advancing surface points of a convex body were not inside
-        the body before. A result that is larger than ``limit_m``, shape (n,) [m], is only a lower
-        bound of the distance.
+        shape (n, 3), are in the world frame. For the leg that contains the tick, the first entry of
+        `parts` is ignored. This is allowed because, on a straight path, advancing surface points of
+        a convex body were never inside it before. A result that is larger than ``limit_m``, shape
+        (n,) [m], is only a lower bound of the distance.
         """
         distance = np.full(len(points), np.inf)
         for start, end in self.legs[self.legs[:, 0] < tick]:

@@ -140,7 +140,7 @@ def travel_by_people(needle: TrialTable, method: str) -> Array:
 
 
 def median_interval(values: Array) -> tuple[float, float, float]:
-    """Return the median, and the ends of its 95 % interval by ranks.
+    """Return the median, and the ends of its rank-based 95 % interval.
 
     Values may be infinite. The interval extends from the k-th smallest to the k-th largest of the n
     values. Let X be a binomial variable with n draws of probability 0.5. k is the largest number
@@ -156,7 +156,7 @@ def median_interval(values: Array) -> tuple[float, float, float]:
 
 
 def needle_section(table: TrialTable) -> Section:
-    """Report the needle's travel after the puncture, and noticed punctures."""
+    """Report the needle's travel after the puncture, and the number of noticed punctures."""
     rows = []
     groups = (each for each in GROUPS if each in table.group)
     for method, group in product(methods_of(table), groups):

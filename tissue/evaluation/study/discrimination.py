@@ -63,8 +63,8 @@ class Felt:
     means_N
         Mean force over the trials of each person [N], shape (people,).
     squares_N2
-        Sum of squared differences between the force in a person's trials and the mean force of this
-        person [N2], shape (people,).
+        Sum of squared deviations [N2] of each person's trial forces from the person's mean force,
+        shape (people,).
     free
         Degrees of freedom: number of trials of each person minus one, shape (people,).
     """
@@ -93,7 +93,7 @@ class Felt:
 
     @property
     def stimulus(self) -> Stimulus:
-        """Stimulus with the mean force over all people, and a person's scatter between trials."""
+        """Stimulus with the mean force over all people, and the pooled scatter within people."""
         return Stimulus(
             self.means_N.mean(),
             np.sqrt(self.squares_N2.sum() / max(self.free.sum(), 1.0)),
@@ -102,9 +102,10 @@ class Felt:
 
 @dataclass(frozen=True)
 class FeltPair:
-    """Two forces at the skin that each person compares.
+    """Two forces that each person feels at the skin and compares.
 
-    Differences between the mean forces of different people do not count as scatter.
+    The scatter of a force is within each person; differences between people's mean forces do not
+    count.
 
     Attributes
     ----------
@@ -123,7 +124,7 @@ class FeltPair:
     def felt_by(self, people: SimulatedObservers) -> tuple[Array, Array]:
         """Return each observer's sensitivity d' and probability of a right answer, shape (n,).
 
-        If the force at the skin is smaller on the stiffer specimen, people who judge by force
+        If the stiffer specimen gives the smaller force at the skin, people who judge by force
         answer wrongly, and d' is negative.
         """
         first = self.less.stimulus
@@ -134,12 +135,12 @@ class FeltPair:
 
 
 def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) -> Array:
-    """Return changes of d' and right answers from plain scaling to another method, shape (3, 3).
+    """Return changes of d' and right answers relative to plain scaling, shape (3, 3).
 
     The rows are the change of d', the change of d' in percent, and the change of right answers in
-    percentage points, each for the mean over the observers. The columns are the change, and the
-    lower and upper end of its 95 % interval. For the interval, each person in the trials is left
-    out in turn (jackknife, Efron 1982).
+    percentage points. All are computed from means over the observers. The columns are the change,
+    and the lower and upper end of its 95 % interval. The interval is computed by leaving out each
+    person once (jackknife, Efron 1982).
     """
     from scipy.stats import t
 
@@ -181,7 +182,7 @@ def specimens(part: TrialTable) -> FeltPair | None:
 
 
 def sides(needle: TrialTable) -> FeltPair | None:
-    """Return the forces at the skin after and before a needle punctures the organ's capsule.
+    """Return the two forces at the skin: after and before a needle punctures the organ's capsule.
 
     The result is None if no person has two trials.
     """
@@ -210,8 +211,8 @@ def _pair(
 def discrimination_section(folder: StudyFolder, table: TrialTable | None, seed: int) -> Section:
     """Report how well people discriminate each pair of forces, by group and method.
 
-    The section contains d', right answers, and their changes relative to plain scaling. `table` has
-    the trials of the tasks that are not case studies; None if there are no such trials.
+    The section contains d', right answers, and their changes relative to plain scaling. `table`
+    holds the trials of all tasks except case studies; it is None without such trials.
     """
     taken: list[tuple[str, Callable[[TrialTable], FeltPair | None], TrialTable | None]] = [
         ("capsule or parenchyma", sides, case_table(folder, "needle")),
@@ -265,7 +266,7 @@ def discrimination_section(folder: StudyFolder, table: TrialTable | None, seed: 
 
 
 def people_of(group: str, seed: int) -> SimulatedObservers:
-    """Draw the simulated people of an expertise group who compare forces."""
+    """Return random simulated people of an expertise group, who compare forces."""
     return draw_observers(group, PEOPLE, np.random.default_rng([seed, GROUPS.index(group)]))
 
 

@@ -176,7 +176,7 @@ def _published_errors(
 
 
 def latency_section(table: TrialTable) -> Section:
-    """Report the lag of the applied force behind a perfectly predicted force.
+    """Report by how much the applied force lags behind a perfectly predicted force.
 
     Failed trials are left out.
     """

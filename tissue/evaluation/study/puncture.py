@@ -76,7 +76,7 @@ def pierce(scene: Scene, *, kappa: float, offset_N: float, rate_N_s: float = RAT
         Scene with a needle on a device. The first two points of the scene's path define the start,
         the direction, and the largest depth of the push.
     kappa, offset_N
-        Weber fraction and low-force term [N] of the person's threshold, see `FeltDrop`.
+        Weber fraction and offset [N] of the person's threshold, see `FeltDrop`.
     rate_N_s
         Rate of increase of the pushing force [N/s].
 

@@ -62,7 +62,7 @@ def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[s
     Raises
     ------
     InputError
-        If the folder is not the folder of a study, contains no trial of the plan's tasks, or
+        If the folder does not hold a study, if it contains no trial of the plan's tasks, or if
         another process is writing a report.
     """
     folder = StudyFolder(path)
@@ -80,7 +80,7 @@ def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[s
 
 
 def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Section]:
-    """Return all report sections for which a study has trials."""
+    """Return all report sections for which the study has trials."""
     plan = folder.plan()
     folder.write_tables()
     sections: list[Section] = []
@@ -202,7 +202,7 @@ def _describe(task: str) -> str:
 
 
 def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Section:
-    """List the differences of the study from the registered plan.
+    """List how the study deviates from its registered plan.
 
     Parameters
     ----------

@@ -35,7 +35,7 @@ Outcome = tuple[str, HypothesisTest]
 
 
 def statistics_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]:
-    """Return the sections on statistics, or one section with the reason for no tests."""
+    """Return the sections on statistics, or one section that explains why there are no tests."""
     try:
         sections = tests_sections(table, rng)
     except InputError as error:

@@ -46,10 +46,11 @@ def needle_travel_mm(trace: Table) -> Array:
 
 
 def deepening_rows(coordinate_mm: Array, contact: Flags) -> Ints:
-    """Return the rows of the trace in which the tip is deeper than in all previous rows.
+    """Return those rows of the trace in which the tip is deeper than in all previous rows.
 
-    The rows start where the tip is `APPROACH_MM` above its position at the first contact. Rows of
-    sideways or upward motion are left out, so that each depth occurs only once.
+    The first row is the one in which the tip comes within `APPROACH_MM` of its position at the
+    first contact. Rows of sideways or upward motion are left out, so that each depth occurs only
+    once.
 
     Parameters
     ----------
@@ -73,11 +74,11 @@ def deepening_rows(coordinate_mm: Array, contact: Flags) -> Ints:
 
 @styled
 def draw_force_depth(run: Run, path: Path) -> str | None:
-    """Draw force and other values of the tissue over the depth of the tip.
+    """Draw force and other columns of the tissue model over the depth of the tip.
 
     Only the rows of `deepening_rows` are drawn, so that each depth occurs once. Shading shows the
-    layer with the largest contact area. The legend has the mean force of each layer, over all ticks
-    of the run in which this layer has the largest contact area.
+    layer with the largest contact area. For each layer, the legend gives the mean force over all
+    ticks in which this layer has the largest contact area.
 
     Parameters
     ----------
@@ -224,7 +225,7 @@ def _inward(depth_mm: Array) -> Flags:
 
 @styled
 def draw_insertion(run: Run, path: Path) -> None:
-    """Draw the axial force on a needle over the travel of its tip and over time, with punctures.
+    """Draw the axial force on a needle over tip travel and over time, and mark the punctures.
 
     The panel over time also shows the elastic, cutting and friction parts of the force.
     """
@@ -296,7 +297,7 @@ LONGEST = 0.28
 
 @styled
 def draw_wall(run: Run, path: Path) -> None:
-    """Draw the paths of ball and haptic device at a virtual wall, and force over depth.
+    """Draw the paths of the ball and the haptic device at a virtual wall, and force over depth.
 
     The upper panel shows the paths in a section perpendicular to the wall. The lower panel shows
     the force.

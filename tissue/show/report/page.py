@@ -15,7 +15,7 @@ CONFIDENCE = {"H": "high", "M": "medium", "L": "low"}
 
 
 def status_of(saved: SavedRun, text: Text) -> str:
-    """Return the description of the scene, and a sentence if the run is incomplete."""
+    """Return the scene description as HTML, with a note if the run is incomplete."""
     scene = saved.scene
     described = (
         f"<p>{text(scene.description)}</p>" if scene is not None and scene.description else ""
@@ -132,7 +132,7 @@ def _distance_text(kept: Summary) -> str:
 
 
 def assessment_section(lines: Sequence[str], picture: bytes, text: Text) -> str:
-    """Return the HTML section on an assessment, with its lines and its PNG picture."""
+    """Return an HTML section with the text lines and the PNG picture of an assessment."""
     shown = html_picture("trainee and reference over time", picture)
     return f"<h2>Assessment</h2>{html_list(lines, text)}{shown}"
 
@@ -186,9 +186,9 @@ def materials_table(used: Sequence[Used], text: Text) -> str:
 
 
 def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) -> str:
-    """Return the HTML sections with the scene, commands that repeat the run, and the versions.
+    """Return HTML sections with the scene, the commands to repeat the run, and the versions.
 
-    `versions` contains pairs of a name and a version, for programs and for the machine.
+    `versions` contains pairs (name, version) for programs and for the machine.
     """
     data = b64encode(scene_text.encode()).decode("ascii")
     keep = (

@@ -77,8 +77,8 @@ def write_report(
     Raises
     ------
     InputError
-        If the folder contains no run or damaged files, if the file exists and `overwrite` is not
-        set, or if trame-vtk is missing.
+        If the folder contains no run, if its files are damaged, if the file exists and `overwrite`
+        is False, or if trame-vtk is missing.
     """
     report = progress or silent
     folder = Path(folder)
@@ -266,7 +266,7 @@ def viewer_scripts() -> tuple[list[str], list[str]]:
 
 
 def empty_scene(parts: int) -> str:
-    """Return a vtk.js scene of parts without points, as a zip file in base64.
+    """Return a vtk.js scene whose parts have no points, as a zip file in base64.
 
     The parts have empty arrays of colours and normals.
 
