@@ -31,7 +31,7 @@ CORNERS = 8
 DEEP = 128 - 112
 AIR = 128 + 112  # 1.78 voxels outside: no corner lies in bone
 # stored boundary distance of 1.78 voxels: all corners of a cell lie in one layer
-FAR = 226
+ONE_LAYER = 226
 
 
 @wp.struct
@@ -63,7 +63,7 @@ def bone_at(
     found.density = float(density_of(word))
     if (near & 255) >= AIR:
         found.distance = 2.0
-    elif (near & 255) > DEEP or (near >> 8) < FAR:
+    elif (near & 255) > DEEP or (near >> 8) < ONE_LAYER:
         cell = cell_of(point)
         corners = corners_of(bricks.brick_of, cell, row)
         # No change of layer (255), and a surface distance one voxel (63 steps) farther out.
@@ -74,7 +74,7 @@ def bone_at(
             if corners.row[c] >= 0:
                 stored[c] = int(bricks.nearby[corners.row[c], corners.column[c]])
         found = distance_between(stored, cell.inside, found)
-        if (near >> 8) < FAR:
+        if (near >> 8) < ONE_LAYER:
             words = corner8i()
             mixed = int(0)
             for c in range(CORNERS):
@@ -123,8 +123,8 @@ def layer_between(stored: corner8i, words: corner8i, inside: wp.vec3, nearest: B
 
     ``stored`` holds the distances of each voxel to the nearest boundary between layers (upper byte)
     and to the surface (lower byte). ``words`` holds the density (upper 16 bits) and the layer
-    (lowest 8 bits) of each voxel, or -1 where no brick is stored. The function does not call
-    `layer_of`, because 64 calls would take too long.
+    (lowest 8 bits) of each voxel, or -1 where no brick is stored. The function reads the layers
+    directly, because 64 calls of `layer_of` would take too long.
     """
     found = nearest
     far = corner8f()

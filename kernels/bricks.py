@@ -38,7 +38,7 @@ class Bricks:
     nearby: Shorts2D
     remaining: Shorts2D
     swept: Shorts2D  # distance to the volume that the tool has swept, see `swept_steps`
-    middle: Shorts2D  # distance to the cuts up to the last call of `kernels.carving.book`
+    middle: Shorts2D  # distance to the cuts up to the last call of `kernels.carving.mark_older`
     older: Shorts2D  # distance to older cuts
     alive: Bits  # one bit for each block of 2 x 2 x 2 voxels that may hold material
     touched: Bytes  # flags LOST and REACHED
@@ -120,7 +120,7 @@ class Corners:
 def corners_of(brick_of: Int32s3D, cell: Cell, row: int):
     """Find the storage locations of a cell's corners.
 
-    ``row`` is the row of a brick that contains at least one of the corners.
+    ``row`` is the storage row of a brick that contains at least one of the corners.
     """
     found = Corners()
     # These are the bits of `voxel_column`. They are computed once per axis and side of the cell,
@@ -178,7 +178,7 @@ def plane_of(normal: wp.vec3):
 def cube_behind_plane(plane: Plane, distance: float):
     """Compute the volume of the part of the unit cube behind a plane.
 
-    The plane lies at a distance of ``distance`` behind the cube's centre, that is, opposite to the
+    The plane is shifted from the cube's centre by ``distance`` in the direction opposite to the
     plane's normal.
 
     The analytic relation is from Scardovelli and Zaleski (2000), J. Comput. Phys. 164:228.

@@ -34,9 +34,10 @@ ELF_MAGIC = b"\x7fELF\x02\x01"
 def remove_damaged(cache: Path) -> list[str]:
     """Remove damaged entries from a cache of compiled kernels and return their names.
 
-    An entry is damaged if a file differs from its checksum. A file without a checksum is new. A new
-    file is damaged if its structure is incomplete. Otherwise, its checksum is recorded. If the
-    cache cannot be read or written, no error is raised, because Warp reports the error itself.
+    An entry is damaged if one of its files does not match the file's checksum. A file without a
+    checksum is new. A new file is damaged if its structure is incomplete. Otherwise, its checksum
+    is recorded. If the cache cannot be read or written, no error is raised, because Warp reports
+    the error itself.
     """
     removed = []
     with suppress(OSError):

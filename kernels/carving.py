@@ -158,13 +158,13 @@ def carve_brick(
         # The tool moves away, and the whole brick lies behind it.
         if has_moved == 1:
             for block in range(64):
-                book(row, block * 8, 1, 0, bricks)
+                mark_older(row, block * 8, 1, 0, bricks)
         return
     back = centre - offset_from(pose[OLDER_ROW + group, 0], middle)
     travel = wp.length(back)
     axis_before = wp.vec3(pose[1 + group, 1])
     before = alive
-    booked = booked_by(removed_out, worker)
+    removed_before = removed_by(removed_out, worker)
     for block in range(64):
         bit = wp.uint64(1) << wp.uint64(block)
         if (alive & bit) != wp.uint64(0):
@@ -184,7 +184,7 @@ def carve_brick(
                     last = nearest_on(tool, centre + step + shift, axis_before)
                     enters_reach = wp.where(last.distance >= BLOCK_REACH, 1, 0)
                 if near.distance < BLOCK_REACH and (has_moved == 1 or enters_reach == 1):
-                    book(row, block * 8, grows_old, enters_reach, bricks)
+                    mark_older(row, block * 8, grows_old, enters_reach, bricks)
                 if near.distance < -BLOCK_REACH:
                     clear_block(
                         near,
@@ -214,22 +214,22 @@ def carve_brick(
                         )
     if alive != before:
         bricks.alive[row] = alive
-    if booked_by(removed_out, worker) != booked:
+    if removed_by(removed_out, worker) != removed_before:
         bricks.touched[row] = bricks.touched[row] | wp.uint8(LOST)
 
 
 @wp.func
-def book(
+def mark_older(
     row: int,
     first: int,
     grows_old: int,
     enters_reach: int,
     bricks: Bricks,
 ):
-    """Mark cuts in a block of 2 x 2 x 2 voxels as older cuts (all except the most recent cuts).
+    """Mark the cuts in a block of 2 x 2 x 2 voxels, except the most recent cuts, as older cuts.
 
     If ``enters_reach`` is 1, all cuts so far are marked. Otherwise, if ``grows_old`` is 1, only the
-    cuts before the previous call for this block are marked.
+    cuts made before the previous call for this block are marked.
     """
     for v in range(8):
         voxel = first + v
@@ -260,8 +260,8 @@ def clear_block(
 
 
 @wp.func
-def booked_by(removed: Int64s2D, worker: int):
-    """Return the volume that a worker (thread) has removed from all layers in this kernel launch.
+def removed_by(removed: Int64s2D, worker: int):
+    """Return the volume, summed over all layers, that a worker (thread) removed in this launch.
 
     The unit is the stored step, 1/65535 of a voxel (see `kernels.bricks.FULL`).
     """
@@ -273,12 +273,13 @@ def booked_by(removed: Int64s2D, worker: int):
 
 @wp.func
 def flattened(near: Nearest, offset: wp.vec3, axis: wp.vec3, step: wp.vec3):
-    """Compute the bend of the tool's surface minus the bend of the swept volume's surface.
+    """Compute how much more the tool's surface bends than the surface of the swept volume.
 
     The bend is a sixth of the sum of the principal curvatures (see `Nearest`). The surface of the
     swept volume is straight along the path of the tool. This surface touches the tool where the
-    tool's normal is perpendicular to the path. Within one voxel of such a place, the difference is
-    a sixth of the tool's curvature along ``step``. Elsewhere, the difference is 0.
+    tool's normal is perpendicular to the path. Within one voxel of a point where the surfaces
+    touch, the difference is a sixth of the tool's curvature along ``step``. Elsewhere, the
+    difference is 0.
     """
     length = wp.length(step)
     if length == 0.0 or near.bend >= EDGE:
@@ -290,11 +291,11 @@ def flattened(near: Nearest, offset: wp.vec3, axis: wp.vec3, step: wp.vec3):
     around = wp.dot(near.slope, outward) / (radius * radius)
     meridional = wp.max(6.0 * near.bend - around, 0.0)
     part = wp.dot(wp.cross(axis, outward), step) / (radius * length)
-    along = meridional + (around - meridional) * part * part
+    curvature = meridional + (around - meridional) * part * part
     # The normal is not perpendicular to the path, within one voxel.
-    if wp.abs(wp.dot(near.slope, step)) > wp.abs(along) * length:
+    if wp.abs(wp.dot(near.slope, step)) > wp.abs(curvature) * length:
         return float(0.0)
-    return along / 6.0
+    return curvature / 6.0
 
 
 @wp.func

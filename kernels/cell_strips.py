@@ -60,7 +60,7 @@ def lanes_of(scalar: Any) -> Any:
 
 @wp.func
 def modes_of(a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: Any):
-    """Compute the modes X, Y, Z, 2 XY, 2 XZ, 2 YZ and 4 XYZ from values at the corners of a cell.
+    """Compute the modes X, Y, Z, 2 XY, 2 XZ, 2 YZ and 4 XYZ of a cell from its corner values.
 
     The modes are sums and differences of the corner values along z, then y, then x.
     """
@@ -91,7 +91,7 @@ def modes_of(a0: Any, a1: Any, a2: Any, a3: Any, a4: Any, a5: Any, a6: Any, a7: 
 
 @wp.func
 def corners_of(x: Any, y: Any, z: Any, xy: Any, xz: Any, yz: Any, xyz: Any):
-    """Compute the forces at a cell's corners from forces on modes: transpose of `modes_of`."""
+    """Compute the forces at a cell's corners from modal forces (transpose of `modes_of`)."""
     dd0 = yz - xyz
     dd1 = yz + xyz
     ds0 = z - xz
@@ -111,7 +111,7 @@ def corners_of(x: Any, y: Any, z: Any, xy: Any, xz: Any, yz: Any, xyz: Any):
 
 @wp.func
 def to_cubes(linear: Any, first: Any, second: Any, both: Any):
-    """Compute the derivative of a displacement component along one axis, in each of four cubes.
+    """Compute the derivative, along one axis, of a displacement component in each of four cubes.
 
     The cubes lie on the sides (-, -), (-, +), (+, -) and (+, +) of the cell along the two other
     axes. The arguments are modes of the displacement component: the linear mode along the axis, the

@@ -65,11 +65,12 @@ def find_near(
     lists_out: Lists,
     patch_out: Patch,
 ):
-    """Find the nearby and the working triangles, their nodes, and the nodes' displacements.
+    """Find the nearby triangles, the working triangles, their nodes, and the nodes' displacements.
 
-    A triangle is nearby if the ball around the undeformed triangle is closer to the tool than a
-    limit. The limit is ``reach`` plus the largest displacement in the last tick (1 ms step). A
-    triangle is working if the solver treats the contact forces at its points as unknowns.
+    A triangle is nearby if the distance between the tool and the ball around the undeformed
+    triangle is below a limit. The limit is ``reach`` plus the largest displacement in the last tick
+    (1 ms step). A triangle is working if the solver treats the contact forces at its points as
+    unknowns.
     """
     pose = pose_of(pose_rows, kind, size)
     margin = reach + results[LARGEST]
@@ -107,9 +108,9 @@ def find_near(
 def begin_work(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose, triangle: int):
     """Add a triangle to the working triangles, that is, to the triangles that the solver visits.
 
-    The triangle's nodes may then carry load. For each contact point of the triangle, the compliance
-    and the friction anchor are stored. The anchor is the point's last position, moved along with
-    the tool.
+    The nodes of a working triangle may carry load. For each contact point of the triangle, the
+    compliance and the friction anchor are stored. The anchor is the position that the point would
+    have if it had moved with the tool since the last tick.
     """
     lists.working[lists.count[WORKING]] = triangle
     lists.count[WORKING] = lists.count[WORKING] + 1
@@ -193,7 +194,7 @@ def join_touching(
 
 @wp.func
 def start_over(body: Body, points: Points, lists: Lists, patch: Patch, pose: Pose):
-    """Rebuild the list of working triangles, and the nodal forces, from the contact forces.
+    """Recompute the list of working triangles and the nodal forces from the contact forces.
 
     A triangle is working if one of its contact points carries force.
     """

@@ -54,7 +54,7 @@ class Pose:
 
 @wp.func
 def axis_distance(pose: Pose, point: wp.vec3d):
-    """Compute the signed distance [m] of a point from a sphere or cylinder, and its gradient.
+    """Compute the signed distance [m], with its gradient, of a point from a sphere or cylinder.
 
     The distance is negative inside the tool. ``pose.size[0]`` is the radius of the tool [m]. For a
     cylinder, ``pose.size[1]`` is the radius of the rounded edge [m].
@@ -159,7 +159,11 @@ class Lists:
 
 @wp.func
 def pose_of(rows: Vectors, kind: int, size: wp.vec2d):
-    """Convert 8 rows (tip and 3 rows of rotation, now and in the previous tick) to a `Pose`."""
+    """Convert 8 rows to a `Pose`.
+
+    The rows are the tip and the three rows of the rotation matrix in this tick, and then in the
+    previous tick.
+    """
     pose = Pose()
     pose.kind = kind
     pose.size = size
@@ -182,7 +186,7 @@ def block(body: Body, a: int, b: int):
 
 @wp.func
 def distance_to(pose: Pose, points: Points, point: int, place: wp.vec3d):
-    """Compute the signed distance [m] between the tool and a contact point, and its gradient."""
+    """Compute the signed distance [m], with its gradient, between the tool and a contact point."""
     # A shell is a set of points. The tangent plane at the contact point's own shell point is used.
     if pose.kind == SHELL:
         direction = points.tool_normal[point]
@@ -202,7 +206,7 @@ TINY = wp.float64(1e-12)
 
 @wp.func
 def safe_inverse(compliance: wp.mat33d):
-    """Invert a compliance matrix that may be singular, because the point cannot move freely."""
+    """Invert a compliance matrix, which is singular if the point cannot move in all directions."""
     size = TINY * wp.trace(compliance)
     inverse = wp.mat33d()
     if size > ZERO:
@@ -218,9 +222,9 @@ def slipping_force(
     drift: wp.vec3d,
     friction: wp.float64,
 ):
-    """Compute the contact force [N] at a slipping point, which lies on the friction cone.
+    """Compute the contact force [N], on the friction cone, at a slipping point.
 
-    Without a contact force, the point would have the gap ``apart`` [m], which is negative, and the
+    Without a contact force, the point would have the gap ``apart`` [m] (negative) and the
     tangential slip ``drift`` [m].
     """
     side = wp.vec3d(ONE, ZERO, ZERO)
@@ -294,7 +298,7 @@ def coulomb_force(
     slip: wp.vec3d,  # motion relative to the tool since the last tick, with this force [m]
     friction: wp.float64,
 ):
-    """Compute the contact force [N] at one point; the forces at all other points are constant."""
+    """Compute the contact force [N] at one point for constant forces at all other points."""
     back = compliance * old
     apart = gap - wp.dot(normal, back)
     force = wp.vec3d()

@@ -13,7 +13,7 @@ _most_cores: list[int] = []
 
 
 def limit_cores(count: int) -> None:
-    """Limit later work of this process to at most ``count`` cores, by limiting `core_count`."""
+    """Limit `core_count`, so that this process uses at most ``count`` cores from now on."""
     _most_cores[:] = [count]
 
 

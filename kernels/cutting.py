@@ -37,7 +37,7 @@ from kernels.elements import (
     Elements,
     Lanes2D,
     Lanes3,
-    along,
+    dot_products,
     lanes3,
     lanes8,
     vectors_in,
@@ -76,7 +76,7 @@ class Loads:
 
 @wp.struct
 class Rates:
-    """Rows of the array ``motion`` of `cutting_forces`, in single precision."""
+    """Content of the argument ``motion`` of `cutting_forces`, in single precision."""
 
     velocity: wp.vec3
     turning: wp.vec3
@@ -106,11 +106,11 @@ def cutting_forces(
     # [chunk, AREA + layers + 36], tool frame, see VALUE; not written for chunks without bone
     sums_out: Doubles2D,
 ):
-    """Sum forces and torques on one chunk of cutting elements, and their derivatives.
+    """Sum the forces, the torques and their derivatives over one chunk of cutting elements.
 
     The derivatives are with respect to 1, 3 or 6 unknowns: the tool's speed; the velocity of the
-    tip; or the velocity of the tip and the angular velocity. If the speed is the unknown, the
-    velocities in ``motion`` belong to a speed of 1.
+    tip; or the velocity of the tip and the angular velocity. If the speed is the unknown,
+    ``motion`` contains the velocities per unit of speed.
     """
     chunk = wp.tid() + chunk_offset
     if engaged[chunk] == ZERO:
@@ -133,7 +133,7 @@ def cutting_forces(
 
 @wp.func
 def rates_of(motion: Vectors):
-    """Convert the rows of the array ``motion`` of `cutting_forces`."""
+    """Convert the argument ``motion`` of `cutting_forces` to `Rates`."""
     rates = Rates()
     rates.velocity = wp.vec3(motion[0])
     rates.turning = wp.vec3(motion[1])
@@ -160,7 +160,7 @@ def add_eight(
     chunk: int,
     sums_out: Lanes2D,
 ):
-    """Add loads, removal rate and areas of eight cutting elements to the sums of their chunk."""
+    """Add loads, removal rates and areas of eight cutting elements to their chunk's sums."""
     unknowns = rates.unknowns
     width = found[eight, WIDTH]
     point = vectors_in(elements.lanes, eight, 0)
@@ -169,11 +169,13 @@ def add_eight(
     # derivatives of advance and shift by the angular velocity
     advance_by_turn = crosses(point, normal)
     shift_by_turn = crosses(point, slope)
-    turn_advance = along(rates.turning, advance_by_turn)
-    turn_shift = along(rates.turning, shift_by_turn)
-    advance = along(rates.velocity, normal) + turn_advance
-    passing = along(rates.velocity, slope) + turn_shift
-    before = along(rates.velocity_before, slope) + along(rates.turning_before, shift_by_turn)
+    turn_advance = dot_products(rates.turning, advance_by_turn)
+    turn_shift = dot_products(rates.turning, shift_by_turn)
+    advance = dot_products(rates.velocity, normal) + turn_advance
+    passing = dot_products(rates.velocity, slope) + turn_shift
+    before = dot_products(rates.velocity_before, slope) + dot_products(
+        rates.turning_before, shift_by_turn
+    )
     cuts = wp.cw_mul(above(advance - rates.least * lanes8(1.0)), above(width - lanes8(TINY)))
     distance = found[eight, DISTANCE] - rates.tick * before
     share, partly, by_shift = share_below(distance, width, rates.tick, passing, cuts)
@@ -223,7 +225,7 @@ def add_eight(
 
 @wp.func
 def share_below(distance: lanes8, width: lanes8, tick: float, passing: lanes8, cuts: lanes8):
-    """Compute the mean part of each of eight elements that is below the surface in a tick.
+    """Compute the part of each of eight elements below the bone surface, averaged over a tick.
 
     This part is called the share. At the start of the tick (1 ms step), the signed distance of the
     elements from the bone surface is ``distance`` [m], positive outside. The distance changes at
@@ -254,10 +256,10 @@ def chip_law(
     chip_per_speed: float,
     advance: lanes8,
 ):
-    """Compute the effective chip thickness and the share of the edge force of eight elements.
+    """Compute the effective chip thickness and the edge-force share of eight elements.
 
-    ``advance`` is the speed along the normal [m/s]. Without a size effect, an advance of 0 gives a
-    chip thickness of exactly 0.
+    ``advance`` is the speed of each element along its normal [m/s]. Without a size effect, an
+    advance of 0 gives a chip thickness of exactly 0.
 
     Return the chip thickness [m], its derivative with respect to the advance, the share of the edge
     force (0 to 1), and the derivative of this share with respect to the advance.
@@ -302,7 +304,7 @@ def loads_of(found: Lanes2D, eight: int, chip: lanes8, edge: lanes8):
     """Return the loads on eight cutting elements [N].
 
     ``chip`` is the effective chip thickness [m], which multiplies the chip coefficients. ``edge``
-    multiplies the edge coefficients.
+    is the share of the edge force, which multiplies the edge coefficients.
     """
     loads = Loads()
     loads.tangential = wp.cw_mul(chip, found[eight, CHIP]) + wp.cw_mul(edge, found[eight, EDGE])
@@ -354,13 +356,13 @@ def add_derivatives(
     place: int,
     sums_out: Lanes2D,
 ):
-    """Add derivatives of force and torque with respect to velocities to the sums of a chunk.
+    """Add the derivatives of force and torque with respect to velocities to a chunk's sums.
 
     ``loads`` contains derivatives of the loads with respect to a speed of each element, for example
-    the speed along the normal. The derivative of this speed with respect to the velocity of the tip
-    is ``rate``, and with respect to the angular velocity ``turn_rate``. The products of ``loads``
-    and these derivatives are added to the sums. With three unknowns, only the derivatives of the
-    force are added.
+    the speed along the normal. ``rate`` is the derivative of this speed with respect to the tip's
+    velocity. ``turn_rate`` is the derivative with respect to the angular velocity. The products of
+    ``loads`` and these derivatives are added to the sums. With three unknowns, only the derivatives
+    of the force are added.
     """
     last = wp.where(unknowns == 6, 6, 3)
     add_wrench(elements, eight, loads, rate.x, 0, last, chunk, place, sums_out)

@@ -41,7 +41,7 @@ class Lanes3:
 
 @wp.func
 def lanes3(x: lanes8, y: lanes8, z: lanes8):
-    """Return the vectors of eight elements with given components."""
+    """Return eight vectors, one for each element, with the given components."""
     vectors = Lanes3()
     vectors.x = x
     vectors.y = y
@@ -51,12 +51,12 @@ def lanes3(x: lanes8, y: lanes8, z: lanes8):
 
 @wp.func
 def vectors_in(rows: Lanes2D, eight: int, first: int):
-    """Return the vectors of eight elements that are stored in three rows."""
+    """Return the vectors of eight elements from the three rows that store their components."""
     return lanes3(rows[eight, first], rows[eight, first + 1], rows[eight, first + 2])
 
 
 @wp.func
-def along(vector: wp.vec3, vectors: Lanes3):
+def dot_products(vector: wp.vec3, vectors: Lanes3):
     """Return the scalar products of one vector with eight vectors."""
     return vector[0] * vectors.x + vector[1] * vectors.y + vector[2] * vectors.z
 
@@ -94,10 +94,10 @@ class Elements:
 
 @wp.struct
 class Travel:
-    """Pose of a tool, and velocities of the tool's motion if its speed is 1.
+    """Pose of a tool, and velocities per unit of the tool's speed.
 
     The velocities have components along the tool's axes. The tool's axes are stored as vectors in
-    the voxel grid [voxel/m].
+    the frame of the voxel grid, with lengths in voxels per metre.
     """
 
     tip: wp.vec3  # [voxel]
@@ -136,7 +136,10 @@ def may_cut(
     everywhere: bool,
     bricks: Bricks,
 ):
-    """Return whether an element of a chunk may advance into bone, by a quick, conservative test.
+    """Return whether an element of a chunk may advance into bone.
+
+    The test is quick and conservative: the result may be true although no element advances into
+    bone.
 
     If `everywhere` is set, the direction of the motion is ignored, and only the distance from bone
     counts.
@@ -156,7 +159,7 @@ def may_cut(
 def advance_of(elements: Elements, eight: int, travel: Travel):
     """Compute the speeds of eight elements along their normals, divided by the tool's speed."""
     normal = vectors_in(elements.lanes, eight, 3)
-    advance = along(travel.velocity, normal)
+    advance = dot_products(travel.velocity, normal)
     if travel.turns == 1:
         point = vectors_in(elements.lanes, eight, 0)
         turning = travel.turning
@@ -173,7 +176,7 @@ def advance_of(elements: Elements, eight: int, travel: Travel):
 def place_of(elements: Elements, eight: int, travel: Travel, axis: int):
     """Compute the coordinates [voxel] of eight elements along one ``axis`` of the voxel grid."""
     row = wp.vec3(travel.ex[axis], travel.ey[axis], travel.ez[axis])
-    return along(row, vectors_in(elements.lanes, eight, 0)) + lanes8(travel.tip[axis])
+    return dot_products(row, vectors_in(elements.lanes, eight, 0)) + lanes8(travel.tip[axis])
 
 
 @wp.func

@@ -68,7 +68,7 @@ NEAR = 0.2
 
 @wp.struct
 class Coefficients:
-    """Tangential, radial and axial cutting coefficients, by bone layer at reference density."""
+    """Tangential, radial and axial cutting coefficients of each layer at its reference density."""
 
     chip: SingleVectors  # [Pa]
     edge: SingleVectors  # [N/m]
@@ -212,7 +212,7 @@ def find_bone_at(
     seen_out: wp.array2d(dtype=corner8f),
     found_out: Singles3D,
 ):
-    """Write the bone in front of an element at the position ``at`` [voxel].
+    """Find the bone in front of an element at the position ``at`` [voxel], and write the result.
 
     Return whether there is bone.
     """

@@ -45,7 +45,7 @@ wp.set_module_options({"max_unroll": 1})
 
 @wp.func
 def share(child: int, a: int, parent: int):
-    """Return the weight of corner ``parent`` of a coarse cell at corner ``a`` of its child cell."""
+    """Return the weight of the coarse corner ``parent`` at corner ``a`` of the child cell."""
     weight = wp.float64(1.0)
     for axis in range(3):
         at = ((child >> axis) & 1) + ((a >> axis) & 1)  # in half edges of the parent: 0, 1, 2
@@ -109,7 +109,7 @@ def restrict(
     # out
     load_out: SingleVectors,  # [coarse node]
 ):
-    """Compute the load of the coarse grid: transposed interpolation of the fine residual."""
+    """Compute the load of the coarse grid by transposed interpolation of the fine residual."""
     coarse = wp.tid() + offset
     total = wp.vec3f()
     for slot in range(27):
@@ -175,8 +175,8 @@ def assemble_rows(
 
     Components that may not move (held components) have zero stiffness. The kernel also computes the
     inverse of each node's own block. In this inverse, the diagonal is 1 for held components. At a
-    free node without stiffness, the inverse is zero. A small multiple of the trace is added to the
-    diagonal, so that blocks next to empty cells can be inverted.
+    free node without stiffness, the inverse is zero. Before the inversion, a small multiple of the
+    block's trace is added to the diagonal, so that blocks next to empty cells can be inverted.
     """
     node = rows[wp.tid() + offset]
     for place in range(row_start[node], row_start[node + 1]):
@@ -224,9 +224,9 @@ def first_residuals(
     # out
     residual_out: SingleVectors,  # [node]
 ):
-    """Compute the residual after the first Gauss-Seidel sweep, which starts at zero.
+    """Compute the residual after the first Gauss-Seidel sweep from a zero initial vector.
 
-    The residual at a node is not zero, because nodes of higher colours are updated after this node.
+    The residual at a node is not zero, because nodes with a higher colour index are updated later.
     """
     node = wp.tid() + offset
     total = wp.vec3f()

@@ -48,7 +48,7 @@ def cell_block(stiffness: Matrices2D, cell: int, a: int, b: int):
 def corner_gradients(at: wp.vec3d, inverse_edge: wp.float64):
     """Compute the gradients [1/m] of the eight shape functions at a position in the cell.
 
-    The coordinates of the position are from 0 to 1 along each edge of the cell.
+    Each coordinate of the position ranges from 0 to 1 across the cell.
     """
     gradients = CornerGradients()
     for a in range(8):

@@ -54,7 +54,7 @@ def cube_weights(
     weight_out: Doubles3D,
     single_out: Singles3D,  # rounded to single precision
 ):
-    """Compute the stored cell weights of `kernels.cell_strips`, for the changed cells."""
+    """Compute the weights of the changed cells in the storage format of `kernels.cell_strips`."""
     cell = changed[wp.tid() + offset]
     row = strip[cell][0]
     lane = strip[cell][1]
@@ -95,7 +95,10 @@ def to_lanes(
     # out
     lanes_out: wp.array2d(dtype=Any),  # [component, slot]
 ):
-    """Copy a vector from node order to lane order; each may have single or double precision."""
+    """Copy a vector from node order to lane order.
+
+    The input and the output may have single or double precision.
+    """
     node = wp.tid() + offset
     for c in range(3):
         lanes_out[c, slot[node]] = lanes_out.dtype(vector[node][c])
@@ -109,7 +112,10 @@ def from_lanes(
     # out
     vector_out: wp.array(dtype=Any),  # [node]
 ):
-    """Copy a vector from lane order to node order; each may have single or double precision."""
+    """Copy a vector from lane order to node order.
+
+    The input and the output may have single or double precision.
+    """
     node = wp.tid() + offset
     at = slot[node]
     value = vector_out[node]
@@ -133,7 +139,7 @@ def node_diagonals(
     # [component, slot] [m/N], 1 / (bound D); 0 if held or empty
     inverse_out: Singles2D,
 ):
-    """Compute the diagonal D of the stiffness at the given nodes, and ``1 / (largest * D)``."""
+    """Compute the stiffness diagonal D at the given nodes, and ``1 / (largest * D)``."""
     node = nodes[wp.tid() + offset]
     total = wp.vec3d()
     for a in range(8):
@@ -165,8 +171,8 @@ def smooth(
     """Run one smoothing step: ``v += d``, ``r -= K d``, ``d = share d + gain D^-1 r``.
 
     Here, v is the vector, r the residual, d the search direction and K the stiffness. ``inverse``
-    contains D^-1, where D is the diagonal of K times an upper bound of the eigenvalues. The product
-    K d is read from ``force_out``.
+    contains D^-1. D is the diagonal of K, multiplied by an upper bound of the eigenvalues of (diag
+    K)^-1 K. The product K d is read from ``force_out``.
     """
     i = wp.tid() + offset
     for c in range(3):

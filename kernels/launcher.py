@@ -47,7 +47,7 @@ MOST_RATIO = 4.0
 Longer times are replaced by this limit. A single interruption therefore does not change the outcome
 of the trial.
 """
-KEPT = 4
+RECENT_GAINS = 4
 """Number of most recent gains that are used. Older gains may belong to another machine load."""
 SHORTEST_PERIOD, LONGEST_PERIOD = 32, 2048
 """Smallest and largest number of long runs between trials.
@@ -60,12 +60,12 @@ After each trial that confirms the choice, the number of long runs before the ne
 class SplitChoice:
     """Choice for one kernel launch: run it as a whole, or split it over several cores.
 
-    Because the work of a launch changes from run to run, the choice is based on trials. A trial
-    compares equal numbers of whole and split runs in mixed order.
+    The work of a launch changes from run to run, so the choice is based on trials. A trial compares
+    the times of equally many whole and split runs in mixed order.
     """
 
     def __init__(self) -> None:
-        self._gains = deque[float](maxlen=KEPT)
+        self._gains = deque[float](maxlen=RECENT_GAINS)
         self._period = SHORTEST_PERIOD
         self._due = 0
         self._trial: list[float] = []
@@ -88,7 +88,7 @@ class SplitChoice:
         return self.splits if self._due > 0 else ORDER[len(self._trial)]
 
     def add(self, seconds: float) -> None:
-        """Record the time [s] of the run for which `next_run` was called last."""
+        """Record the time [s] of the run that followed the last call of `next_run`."""
         if self._due > 0:
             self._due -= 1
             return
@@ -150,7 +150,7 @@ With `GROWTH`, a launch is split in its sixth run at the earliest.
 
 @dataclass
 class LaunchCounts:
-    """Number of kernel launches that were long enough to be split, and number of split launches."""
+    """Number of kernel launches that are long enough to split, and number that were split."""
 
     large: int = 0
     split: int = 0
@@ -160,7 +160,7 @@ _counts = LaunchCounts()
 
 
 def launch_counts() -> LaunchCounts:
-    """Return a copy of this process's counts of kernel launches, see `LaunchCounts`."""
+    """Return a copy of the `LaunchCounts` of this process."""
     return LaunchCounts(_counts.large, _counts.split)
 
 
@@ -178,7 +178,7 @@ def recorded(
     outputs: Sequence[object] = (),
     device: str,
 ) -> Callable[[], object]:
-    """Record a launch and return a function that runs it.
+    """Record a kernel launch, and return a function that runs the launch.
 
     On a CPU, the arguments are packed once, and each call of the function passes them to the
     compiled kernel. For six arguments, a call takes 0.6 us. Warp's own `Launch.launch` packs the
@@ -236,10 +236,10 @@ class SplitLaunch:
         Arguments of the kernel, without the index of the first thread. NumPy arrays among the
         inputs are copied to the device.
     device
-        Warp device name; default: the device of the first output. On a GPU the launch is never
-        split.
+        Warp device name. If not given, the device of the first output is used. On a GPU the launch
+        is never split.
     cores
-        Largest number of parts. With 1, the launch is never split. Default: number of available
+        Largest number of parts. If it is 1, the launch is never split. Default: number of available
         cores.
     """
 

@@ -53,7 +53,7 @@ def placed(kernel: wp.Kernel, inputs: Sequence[object], device: str) -> list[Any
 
 
 def filled(struct: Any, device: str, **members: Any) -> Any:
-    """Return a Warp structure with the given members. NumPy arrays are copied to the device."""
+    """Return a filled instance of `struct`. NumPy arrays are copied to the device."""
     found = struct()
     for name, value in members.items():
         if isinstance(value, np.ndarray):

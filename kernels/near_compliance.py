@@ -50,7 +50,7 @@ class Patch:
 
 @wp.func
 def moved_at(patch: Patch, slot: int):
-    """Return the displacement [m] of the node with the given slot."""
+    """Return the displacement [m] of the node in the given slot."""
     return wp.vec3d(patch.moved[3 * slot], patch.moved[3 * slot + 1], patch.moved[3 * slot + 2])
 
 
@@ -58,7 +58,7 @@ def moved_at(patch: Patch, slot: int):
 def push(patch: Patch, slot: int, change: wp.vec3d, slots: int):
     """Add the displacements due to a ``change`` of force [N] on the loaded node at ``slot``.
 
-    The displacements of the first ``slots`` slots are updated.
+    The displacements of the nodes in the first ``slots`` slots are updated.
     """
     row = 3 * slot
     for p in range((3 * slots + LANES - 1) // LANES):
@@ -72,7 +72,7 @@ def push(patch: Patch, slot: int, change: wp.vec3d, slots: int):
 
 @wp.func
 def move_all(body: Body, patch: Patch, slots: int):
-    """Recompute the displacements of the first ``slots`` slots under all loads.
+    """Recompute the displacements, under all loads, of the nodes in the first ``slots`` slots.
 
     The recomputation removes rounding errors, which accumulate when only changes are added.
     """
@@ -84,7 +84,7 @@ def move_all(body: Body, patch: Patch, slots: int):
 
 @wp.func
 def gather(body: Body, patch: Patch, loaded: int, slot: int):
-    """Copy the compliance block of two slots into the rows of the ``loaded`` slot."""
+    """Copy the compliance between the nodes of two slots into the rows of slot ``loaded``."""
     between = block(body, patch.node[loaded], patch.node[slot])
     for i in range(3):
         for j in range(3):
@@ -93,7 +93,7 @@ def gather(body: Body, patch: Patch, loaded: int, slot: int):
 
 @wp.func
 def gather_again(body: Body, patch: Patch):
-    """Copy all rows again, because the compliance has changed."""
+    """Copy all compliance rows again, because the compliance has changed."""
     patch.count[STALE] = 0
     for loaded in range(patch.count[LOADED]):
         for slot in range(patch.count[SLOTS]):
@@ -104,7 +104,7 @@ def gather_again(body: Body, patch: Patch):
 def swap(patch: Patch, p: int, q: int):
     """Exchange the nodes of the slots ``p`` and ``q`` in the copied compliance.
 
-    In each row, the entries of the two slots are exchanged. The rows of the two nodes themselves
+    In each row, the entries of the two slots are exchanged. The rows that belong to the two nodes
     are not exchanged.
     """
     first = patch.node[p]
@@ -137,7 +137,7 @@ def add_node(body: Body, patch: Patch, node: int):
 
 @wp.func
 def drop_left(patch: Patch, tick: int):
-    """Free the slots of nodes that are no longer near the tool and carry no load."""
+    """Free the slots of unloaded nodes that are no longer near the tool."""
     slot = patch.count[SLOTS] - 1
     while slot >= patch.count[LOADED]:
         node = patch.node[slot]
@@ -152,7 +152,10 @@ def drop_left(patch: Patch, tick: int):
 
 @wp.func
 def keep_loaded(body: Body, patch: Patch, node: int, tick: int):
-    """Mark a node as loaded in this tick. If the node is newly loaded, assign three rows to it."""
+    """Mark a node as loaded in this tick.
+
+    If the node was not loaded before, three rows of the copied compliance are assigned to it.
+    """
     patch.loaded_mark[node] = tick
     loaded = patch.count[LOADED]
     slot = patch.slot[node]

@@ -51,13 +51,13 @@ def bone_left(
     seen: wp.array2d(dtype=corner8f),
     chunk: int,
 ):
-    """Return the length [voxel] of bone in front of ``point`` on the tool's surface.
+    """Return how far [voxel] the bone extends in front of ``point`` on the tool's surface.
 
     The length is the distance from the tool's surface to the surface of older cuts, limited to
-    `FARTHEST` (2 voxels). The length is negative where an older cut lies deeper, and equal to
-    `FARTHEST` if no older cut is near. The point lies in the voxel that is stored at ``row`` and
-    ``column``. At the point, the tool has the unit normal ``outward`` and the curvature ``bend``,
-    see `Revolution`.
+    `FARTHEST` (2 voxels). The length is negative where an older cut extends beyond the tool's
+    surface, and equal to `FARTHEST` if no older cut is near. The point lies in the voxel that is
+    stored at ``row`` and ``column`` of ``bricks``. At the point, the tool has the unit normal
+    ``outward`` and the curvature ``bend``, see `Revolution`.
     """
     kept = int(bricks.older[row, column])
     distance = kept_distance(kept)
@@ -177,12 +177,12 @@ def tool_distances(
 
 @wp.func
 def bend_below(bend: float, outward: wp.vec3, part: wp.vec3):
-    """Estimate the error [voxel] of linear interpolation along a surface with the tool's curvature.
+    """Estimate the error [voxel] of linearly interpolated distances near a curved tool surface.
 
     For a convex surface, distances that are interpolated between voxel centres are too small. The
     interpolated distance is curved only along the path of the tool. The direction of the path is
     not known, so the estimate is the mean over all directions perpendicular to ``outward``. The
-    error of the estimate is at most as large as the estimate.
+    estimate differs from the true interpolation error by at most the estimate itself.
     """
     if bend >= EDGE:
         return float(0.0)

@@ -70,8 +70,8 @@ def particle_stiffness(
 ):
     """Compute the stiffness of the changed cells as a sum over their material particles.
 
-    Only the upper triangle of 3 x 3 blocks is computed. The blocks on the diagonal are made exactly
-    symmetric.
+    Only the upper triangle of the block matrix (3 x 3 blocks) is computed. The blocks on the
+    diagonal are made exactly symmetric.
     """
     cell = changed[wp.tid() + offset]
     for block in range(BLOCKS):

@@ -52,13 +52,13 @@ Eight halvings reduce a step of half a voxel to 0.002 voxels.
 
 @wp.func
 def position_in(pose: Doubles):
-    """Return the position [m] from the state of a proxy or from a goal pose."""
+    """Return the position [m] in the state of a proxy or in a goal pose."""
     return wp.vec3d(pose[POSITION], pose[POSITION + 1], pose[POSITION + 2])
 
 
 @wp.func
 def rotation_in(pose: Doubles):
-    """Return the rotation from the state of a proxy or from a goal pose."""
+    """Return the rotation in the state of a proxy or in a goal pose."""
     return wp.quatd(pose[ROTATION], pose[ROTATION + 1], pose[ROTATION + 2], pose[ROTATION + 3])
 
 
@@ -80,7 +80,7 @@ def begin_descent(state: Doubles, tolerance: wp.float64):
 
 @wp.func
 def write_state(descent: Descent, state_out: Doubles):
-    """Write the last free pose and the path length of a `Descent` to the proxy's state array."""
+    """Write the last obstacle-free pose and the path length of a `Descent` to the proxy's state."""
     for c in range(3):
         state_out[POSITION + c] = descent.position[c]
     for c in range(4):

@@ -19,7 +19,7 @@ wp.set_module_options({"max_unroll": 1})
 
 VOXEL_PLANES = 3
 """Number of planes per shell point near voxels: the present plane and two earlier planes."""
-FAR = wp.float64(1.0e30)  # no distance yet [m]
+NO_DISTANCE = wp.float64(1.0e30)  # no distance yet [m]
 AHEAD = wp.float64(4.0)
 """Largest travel, in step lengths, by which a sleeping point may be checked early.
 
@@ -59,8 +59,8 @@ class Contacts:
     """
 
     slots: int  # a point
-    press: Doubles  # [slot], normal force / coupling's stiffness [m]
-    wake: Doubles  # [point], travel at which the point must be checked [m]
+    normal_force: Doubles  # [slot], normal force / coupling's stiffness [m]
+    check_travel: Doubles  # [point], travel at which the point must be checked [m]
     plane_normal: Vectors2D  # [point, plane], zero where there is no plane
     plane_offset: Doubles2D  # [m]
     # candidates of the present pose
@@ -80,7 +80,7 @@ class Contacts:
 def add_candidate(
     contacts: Contacts, count: int, slot: int, arm: wp.vec3d, normal: wp.vec3d, gap: wp.float64
 ):
-    """Record a plane that a shell point must stay above, and return the new number of planes."""
+    """Add a plane that bounds the motion of a shell point, and return the new number of planes."""
     contacts.slot[count] = slot
     contacts.arm[count] = arm
     contacts.normal[count] = normal
@@ -105,14 +105,14 @@ def forget(
 
 @wp.func
 def keep_plane(contacts: Contacts, point: int, first: int):
-    """Replace the earlier plane with the smaller force by the present plane of a point."""
+    """Replace the earlier plane that has the smaller force with the present plane of a point."""
     k = int(1)
-    if contacts.press[first + 1] > contacts.press[first + 2]:
+    if contacts.normal_force[first + 1] > contacts.normal_force[first + 2]:
         k = int(2)
     contacts.plane_normal[point, k] = contacts.plane_normal[point, 0]
     contacts.plane_offset[point, k] = contacts.plane_offset[point, 0]
-    contacts.press[first + k] = contacts.press[first]
-    contacts.press[first] = ZERO
+    contacts.normal_force[first + k] = contacts.normal_force[first]
+    contacts.normal_force[first] = ZERO
 
 
 @wp.func
@@ -126,16 +126,16 @@ def collect_voxels(
     step: wp.float64,
     found: int,
 ):
-    """Find the planes that one shell point near voxels must stay above.
+    """Find the planes that bound the motion of one shell point near voxels.
 
-    ``found`` is the number of planes so far. Return the new number of planes, the level
-    (approximate distance) of the point [m], and the distance that is certainly free of obstacles
-    [m].
+    ``found`` is the number of planes so far. Return the new number of planes, the level [m]
+    (approximate distance of the point), and the distance [m] over which the point certainly meets
+    no obstacle.
     """
     count = found
     far = voxel_clearance(field, at)
     if far > step:
-        forget(contacts.plane_normal, contacts.press, point, first)
+        forget(contacts.plane_normal, contacts.normal_force, point, first)
         return count, far, far
     level, slope = voxel_level(field, at)
     size = wp.length(slope)
@@ -143,18 +143,18 @@ def collect_voxels(
     # If all voxels around the point are equal, there is no outward direction and therefore no
     # plane.
     if size == ZERO:
-        forget(contacts.plane_normal, contacts.press, point, first)
+        forget(contacts.plane_normal, contacts.normal_force, point, first)
         return count, step, ZERO
     normal = slope / size
     held = contacts.plane_normal[point, 0]
-    if contacts.press[first] > ZERO and wp.dot(held, normal) < SAME_DIRECTION:
+    if contacts.normal_force[first] > ZERO and wp.dot(held, normal) < SAME_DIRECTION:
         keep_plane(contacts, point, first)
     contacts.plane_normal[point, 0] = normal
     contacts.plane_offset[point, 0] = wp.dot(normal, at) - gap
     if gap < step:
         count = add_candidate(contacts, count, first, arm, normal, gap)
     else:
-        contacts.press[first] = ZERO
+        contacts.normal_force[first] = ZERO
     for k in range(1, VOXEL_PLANES):
         held = contacts.plane_normal[point, k]
         above = wp.dot(held, at) - contacts.plane_offset[point, k]
@@ -162,7 +162,7 @@ def collect_voxels(
             cuts = above < gap - SLACK * field.spacing
             if cuts or above > step or wp.dot(held, normal) > SAME_DIRECTION:
                 contacts.plane_normal[point, k] = wp.vec3d()
-                contacts.press[first + k] = ZERO
+                contacts.normal_force[first + k] = ZERO
             else:
                 count = add_candidate(contacts, count, first + k, arm, held, above)
     return count, level, ZERO  # unlike the gap, the level does not jump between cells
@@ -181,26 +181,26 @@ def collect(
 ):
     """Collect all planes that are closer than ``step`` [m] to a shell point.
 
-    Return the number of planes, the smallest gap [m], and the path length [m] that is free of
-    obstacles for every point.
+    Return the number of planes, the smallest gap [m], and the path length [m] over which no point
+    meets an obstacle.
 
     A point that is far from all obstacles sleeps, that is, it is not checked for some time. A
-    sleeping point is checked early if it would otherwise limit the free path length to less than
-    ``wanted`` [m], but at most ``AHEAD`` step lengths early.
+    sleeping point is checked early, by at most ``AHEAD`` step lengths, if it would otherwise limit
+    the free path length to less than ``wanted`` [m].
     """
     early = wp.min(wanted, AHEAD * step)
     count = int(0)
-    worst = FAR
-    clear = FAR
+    worst = NO_DISTANCE
+    clear = NO_DISTANCE
     boxes = field.centre.shape[0]
     for i in range(shell.point.shape[0]):
-        asleep = contacts.wake[i] - travel
+        asleep = contacts.check_travel[i] - travel
         if asleep > early:
             clear = wp.min(clear, asleep + step)
         else:
             arm = turn * shell.point[i]
             at = position + arm
-            bound = FAR
+            bound = NO_DISTANCE
             first = i * contacts.slots
             for s in range(boxes):
                 distance, normal = box_distance(field, s, at)
@@ -214,7 +214,7 @@ def collect(
                     )
                     worst = wp.min(worst, gap)
                 else:
-                    contacts.press[first + s] = ZERO
+                    contacts.normal_force[first + s] = ZERO
             if field.spacing > ZERO:
                 count, gap, far = collect_voxels(
                     field, contacts, i, first + boxes, arm, at, step, count
@@ -222,6 +222,6 @@ def collect(
                 bound = wp.min(bound, far)
                 worst = wp.min(worst, gap)
             if bound > step:
-                contacts.wake[i] = travel + bound - step
+                contacts.check_travel[i] = travel + bound - step
             clear = wp.min(clear, wp.max(bound, step))
     return count, worst, clear

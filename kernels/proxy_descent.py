@@ -55,7 +55,7 @@ def turn_between(start: wp.quatd, goal: wp.quatd):
 def motion_length(shift: wp.vec3d, turn: wp.vec3d, reach: wp.float64):
     """Return an upper bound [m] of the path length of any point of the tool during a motion.
 
-    The points lie within ``reach`` [m] of the tool's origin.
+    All points of the tool lie within ``reach`` [m] of its origin.
     """
     return wp.length(shift) + reach * wp.length(turn)
 
@@ -68,9 +68,9 @@ def pose_distance(
     goal: wp.quatd,
     reach: wp.float64,
 ):
-    """Return an upper bound [m] of the path length of any point of the tool to a goal pose.
+    """Return an upper bound [m] of the path that any point of the tool travels to a goal pose.
 
-    The points lie within ``reach`` [m] of the tool's origin.
+    All points of the tool lie within ``reach`` [m] of its origin.
 
     If ``reach`` is 0, rotations are ignored.
     """
@@ -108,7 +108,7 @@ class DescentSettings:
 
 @wp.struct
 class Descent:
-    """Progress of the proxy toward the device in a tick: poses, motion and counters."""
+    """Progress of the proxy toward the device pose in a tick: poses, motion and counters."""
 
     position: wp.vec3d  # last free pose that was found [m]
     rotation: wp.quatd
@@ -128,13 +128,13 @@ class Descent:
 
 @wp.struct
 class Reaction:
-    """Sum of the contact forces on the tool, divided by the stiffness of the coupling spring."""
+    """Resultant of the contact forces on the tool, divided by the coupling spring's stiffness."""
 
     pressing: int
     force: wp.vec3d  # with friction [m]
     moment: wp.vec3d  # about the tool's origin [m2]
     centre: wp.vec3d  # centre of pressure, from the tool's origin in world axes [m]
-    rub: wp.vec3d  # friction alone [m]
+    tangential_force: wp.vec3d  # friction alone [m]
     arm: wp.vec3d  # point of action of the friction, from the tool's origin [m]
 
 
@@ -153,10 +153,10 @@ def first_touch(contacts: Contacts, count: int, shift: wp.vec3d, turn: wp.vec3d)
 
 
 @wp.func
-def reaction_of(contacts: Contacts, members: int, rub: wp.vec3d, arm: wp.vec3d):
-    """Return the sum of the contact forces: normal forces of the active set, and friction ``rub``.
+def reaction_of(contacts: Contacts, members: int, tangential_force: wp.vec3d, arm: wp.vec3d):
+    """Return the resultant of normal and tangential (friction) forces of the active set.
 
-    The active set consists of the planes with force. The friction acts at ``arm``.
+    The active set consists of the planes with force. The tangential force acts at ``arm``.
     """
     pressing = int(0)
     force = wp.vec3d()
@@ -165,28 +165,28 @@ def reaction_of(contacts: Contacts, members: int, rub: wp.vec3d, arm: wp.vec3d):
     total = wp.float64(0.0)
     for m in range(members):
         c = contacts.member[m]
-        press = contacts.press[contacts.slot[c]]
-        if press > ZERO:
+        normal_force = contacts.normal_force[contacts.slot[c]]
+        if normal_force > ZERO:
             pressing += 1
-            force += press * contacts.normal[c]
-            moment += press * contacts.moment[c]
-            centre += press * contacts.arm[c]
-            total += press
+            force += normal_force * contacts.normal[c]
+            moment += normal_force * contacts.moment[c]
+            centre += normal_force * contacts.arm[c]
+            total += normal_force
     if total > ZERO:
         centre /= total
     reaction = Reaction()
     reaction.pressing = pressing
-    reaction.force = force + rub
-    reaction.moment = moment + wp.cross(arm, rub)
+    reaction.force = force + tangential_force
+    reaction.moment = moment + wp.cross(arm, tangential_force)
     reaction.centre = centre
-    reaction.rub = rub
+    reaction.tangential_force = tangential_force
     reaction.arm = arm
     return reaction
 
 
 @wp.func
 def halve_motion(before: Descent, reach: wp.float64):
-    """Return a copy of a `Descent` (progress of the proxy), with half of the trial motion."""
+    """Return a copy of a `Descent` (progress of the proxy) in which the trial motion is halved."""
     descent = before
     descent.halvings = before.halvings + 1
     descent.arrived = 0
@@ -200,7 +200,7 @@ def halve_motion(before: Descent, reach: wp.float64):
 
 @wp.func
 def accept_trial(before: Descent, gap: wp.float64, step: wp.float64):
-    """Return a copy of a `Descent`, with the trial pose accepted as the last free pose.
+    """Return a copy of a `Descent` in which the trial pose is the last obstacle-free pose.
 
     ``gap`` is the smallest gap [m] at the trial pose.
     """
@@ -220,12 +220,12 @@ def aim_at(
     compliance: wp.float64,
     spacing: wp.float64,
 ):
-    """Return a copy of a `Descent`, with the motion from the last free pose to the goal.
+    """Return a copy of a `Descent` whose motion leads from the last free pose to the goal.
 
-    At the goal, the spring force is zero.
+    The goal is the pose at which the spring force is zero.
 
-    If the energy of the springs has hardly decreased, the step is a stall, and the number of stalls
-    is increased by one. Otherwise, the number is reset to 0.
+    If the spring energy is not clearly below the lowest energy so far, the number of stalls is
+    increased by one. Otherwise, the number of stalls is reset to 0.
 
     If the obstacles have no voxels, ``spacing`` is 0 and no step counts as a stall.
     """
@@ -254,9 +254,10 @@ def constrain_motion(
 ):
     """Change the motion of a `Descent` such that it does not violate the contacts.
 
-    With friction, a tool without contact first moves only up to the first contact plane, because
-    friction starts there. Contact forces are not computed in this case. Return a changed copy of
-    the `Descent`, the contact forces, and a flag that is 1 if contact forces were computed.
+    If there is friction and the tool has no contact yet, the motion ends at the first contact
+    plane, because friction starts there. Contact forces are not computed in this case. Return a
+    changed copy of the `Descent`, the contact forces, and a flag that is 1 if contact forces were
+    computed.
     """
     descent = before
     if settings.friction > ZERO and last.pressing == 0 and gap > settings.tolerance:
@@ -265,7 +266,7 @@ def constrain_motion(
             descent.shift = before.shift * touch
             descent.turn = before.turn * touch
             return descent, last, 0
-    members, solves, rub, arm = resolve(
+    members, solves, tangential_force, arm = resolve(
         contacts,
         count,
         settings.compliance,
@@ -273,11 +274,11 @@ def constrain_motion(
         settings.tolerance,
         before.shift,
         before.turn,
-        last.rub,
+        last.tangential_force,
         last.arm,
         before.near,
     )
-    reaction = reaction_of(contacts, members, rub, arm)
+    reaction = reaction_of(contacts, members, tangential_force, arm)
     descent.solves = before.solves + solves
     descent.shift = before.shift + reaction.force
     descent.turn = before.turn + settings.compliance * reaction.moment
@@ -286,7 +287,7 @@ def constrain_motion(
 
 @wp.func
 def next_trial(before: Descent, settings: DescentSettings, size: wp.float64, clear: wp.float64):
-    """Return a copy of a `Descent`, with the trial pose at the end of the copy's motion.
+    """Return a copy of a `Descent` whose trial pose is the end of the motion.
 
     ``size`` is the length of the motion [m]. If ``size`` exceeds the free path length ``clear``
     [m], the motion is shortened to ``clear``.

@@ -48,8 +48,8 @@ TINY = wp.float64(1.0e-13)
 def factorise(contacts: Contacts, members: int, compliance: wp.float64):
     """Compute the Cholesky factor of the compliance matrix of the planes in the active set.
 
-    An entry of the matrix is the motion along the normal of one plane due to a unit force at
-    another plane.
+    An entry of the matrix is the tool's motion along the normal of one plane, caused by a unit
+    force at another plane.
     """
     for i in range(members):
         a = contacts.member[i]
@@ -72,12 +72,12 @@ def factorise(contacts: Contacts, members: int, compliance: wp.float64):
 def solve_set(
     contacts: Contacts, members: int, shift: wp.vec3d, turn: wp.vec3d, gaps: wp.float64, column: int
 ):
-    """Compute the normal forces that cancel a shift and a turn at the planes of the active set.
+    """Compute normal forces that cancel the effect of a shift and a turn at the active planes.
 
     The forces are written to a ``column`` of ``contacts.side``.
 
-    If ``gaps`` is 1, the forces also close the gaps between the planes and their points. If
-    ``gaps`` is 0, the gaps are ignored.
+    If ``gaps`` is 1, the forces also close the gap between each plane and its point. If ``gaps`` is
+    0, the gaps are ignored.
     """
     for i in range(members):
         c = contacts.member[i]
@@ -101,7 +101,7 @@ def solve_set(
 def drop_member(contacts: Contacts, members: int, place: int):
     """Remove a plane from the active set (planes with force), and return the remaining number."""
     c = contacts.member[place]
-    contacts.press[contacts.slot[c]] = ZERO
+    contacts.normal_force[contacts.slot[c]] = ZERO
     contacts.chosen[c] = 0
     contacts.member[place] = contacts.member[members - 1]
     return members - 1
@@ -128,7 +128,7 @@ def shrink_set(
         share = wp.float64(1.0)
         leaves = int(-1)
         for m in range(members):
-            old = contacts.press[contacts.slot[contacts.member[m]]]
+            old = contacts.normal_force[contacts.slot[contacts.member[m]]]
             new = contacts.side[m, 0]
             # A plane would pull. Change the forces only until the first such force is 0, and remove
             # its plane.
@@ -141,7 +141,9 @@ def shrink_set(
                     leaves = m
         for m in range(members):
             slot = contacts.slot[contacts.member[m]]
-            contacts.press[slot] += share * (contacts.side[m, 0] - contacts.press[slot])
+            contacts.normal_force[slot] += share * (
+                contacts.side[m, 0] - contacts.normal_force[slot]
+            )
         if leaves >= 0:
             members = drop_member(contacts, members, leaves)
             blocked = int(1)
@@ -157,9 +159,9 @@ def moved_by_set(
     turned = turn
     for m in range(members):
         c = contacts.member[m]
-        press = contacts.press[contacts.slot[c]]
-        moved += press * contacts.normal[c]
-        turned += compliance * press * contacts.moment[c]
+        normal_force = contacts.normal_force[contacts.slot[c]]
+        moved += normal_force * contacts.normal[c]
+        turned += compliance * normal_force * contacts.moment[c]
     return moved, turned
 
 
@@ -252,9 +254,10 @@ def slipping_force(
     v1: wp.float64,
     bound: wp.float64,
 ):
-    """Compute the friction force of magnitude ``bound`` that acts against the remaining slip.
+    """Compute a friction force of magnitude ``bound`` that opposes the slip under this force.
 
-    The solution uses Newton's method on reciprocals (More and Sorensen 1983).
+    The solution applies Newton's method to the reciprocal of the force's magnitude (More and
+    Sorensen 1983).
     """
     f0 = wp.float64(0.0)
     f1 = wp.float64(0.0)
@@ -282,18 +285,18 @@ def friction_force(
 ):
     """Compute the friction force of the active set, and the arm at which this force acts.
 
-    The arm is the vector from the tool's origin. The method accounts for the fact that the normal
-    forces depend linearly on the friction force.
+    The arm is the vector from the tool's origin to the point at which the force acts. The method
+    accounts for the fact that the normal forces depend linearly on the friction force.
     """
     total = wp.float64(0.0)
     along = wp.vec3d()
     arm = wp.vec3d()
     for m in range(members):
         c = contacts.member[m]
-        press = contacts.press[contacts.slot[c]]
-        total += press
-        along += press * contacts.normal[c]
-        arm += press * contacts.arm[c]
+        normal_force = contacts.normal_force[contacts.slot[c]]
+        total += normal_force
+        along += normal_force * contacts.normal[c]
+        arm += normal_force * contacts.arm[c]
     if total <= ZERO or wp.length_sq(along) == ZERO:
         return wp.vec3d(), wp.vec3d()
     arm = arm / total
@@ -348,48 +351,51 @@ def resolve(
     tolerance: wp.float64,  # [m]
     shift: wp.vec3d,  # shift to the pose of zero spring force [m]
     turn: wp.vec3d,  # [rad]
-    last_rub: wp.vec3d,  # last friction force [m] and its arm; start of the search
+    last_tangential_force: wp.vec3d,  # last friction force [m] and its arm; start of the search
     last_arm: wp.vec3d,
     near: wp.float64,  # change at which the friction force counts as found [m]
 ):
     """Compute the normal and friction forces of all contacts.
 
-    Forces are divided by the stiffness of the coupling spring. Return the number of planes in the
-    active set, the number of linear systems solved, the friction force [m], and the arm [m] at
-    which the friction force acts. The normal forces are written to ``contacts.press``.
+    Forces are divided by the stiffness of the coupling spring, so their unit is m. Return the
+    number of planes in the active set, the number of linear systems solved, the friction force [m],
+    and the arm [m] at which the friction force acts. The normal forces are written to
+    ``contacts.normal_force``.
     """
     members = int(0)
     for c in range(count):
         contacts.chosen[c] = 0
-        if contacts.press[contacts.slot[c]] > ZERO:
+        if contacts.normal_force[contacts.slot[c]] > ZERO:
             # One entry is reserved for a plane that joins.
             if members < MEMBERS - 1:
                 contacts.member[members] = c
                 contacts.chosen[c] = 1
                 members += 1
             else:
-                contacts.press[contacts.slot[c]] = ZERO
-    rub = last_rub
+                contacts.normal_force[contacts.slot[c]] = ZERO
+    tangential_force = last_tangential_force
     arm = last_arm
-    dragged = turn + compliance * wp.cross(arm, rub)
+    dragged = turn + compliance * wp.cross(arm, tangential_force)
     members, solves = normal_forces(
-        contacts, count, members, compliance, tolerance, shift + rub, dragged
+        contacts, count, members, compliance, tolerance, shift + tangential_force, dragged
     )
     if friction > ZERO:
         for k in range(FRICTION_ROUNDS):
-            before = rub
+            before = tangential_force
             arm_before = arm
-            rub, arm = friction_force(contacts, members, compliance, friction, shift, turn, before)
+            tangential_force, arm = friction_force(
+                contacts, members, compliance, friction, shift, turn, before
+            )
             if k > 0:  # halve the change, so that two sets do not alternate
-                rub = HALF * (rub + before)
+                tangential_force = HALF * (tangential_force + before)
                 arm = HALF * (arm + arm_before)
-            dragged = turn + compliance * wp.cross(arm, rub)
+            dragged = turn + compliance * wp.cross(arm, tangential_force)
             members, more = normal_forces(
-                contacts, count, members, compliance, tolerance, shift + rub, dragged
+                contacts, count, members, compliance, tolerance, shift + tangential_force, dragged
             )
             solves += more
-            if wp.length(rub - before) <= near:
+            if wp.length(tangential_force - before) <= near:
                 break
     if members == 0:
-        rub = wp.vec3d()
-    return members, solves, rub, arm
+        tangential_force = wp.vec3d()
+    return members, solves, tangential_force, arm

@@ -12,7 +12,16 @@ Rotations of the tool are included to second order.
 
 import warp as wp
 
-from kernels.elements import LANES, Elements, Lanes3, along, lanes3, lanes8, products, vectors_in
+from kernels.elements import (
+    LANES,
+    Elements,
+    Lanes3,
+    dot_products,
+    lanes3,
+    lanes8,
+    products,
+    vectors_in,
+)
 
 # Number of poses between two checks whether the remaining poses can be skipped; chosen.
 CHECKED = 8
@@ -41,11 +50,11 @@ def poses_in_front(
     last: int,
     turns: bool,
 ):
-    """Return the range of earlier poses at which the tool may have cut farther than now.
+    """Return the range of earlier poses at which the tool may have cut beyond its present pose.
 
-    A pose is included if an element of the chunk may have been farther along its normal than at the
-    present pose. If the tool has turned, all poses are included. If the tool only advances, the
-    range is empty.
+    A pose is included if, at that pose, an element of the chunk may have been farther forward along
+    its normal than at the present pose. If the tool has turned, all poses are included. If the tool
+    only advances, the range is empty.
     """
     poses = Poses()
     poses.last = recent.shape[0]
@@ -81,9 +90,9 @@ def recently_cut(
     poses: Poses,
     enough: float,
 ):
-    """Compute how far [m] in front of eight elements the tool has cut at earlier poses.
+    """Compute how far [m] the tool has cut in front of each of eight elements at earlier poses.
 
-    If the tool cuts farthest at the present pose, the result for the element is 0. When the results
+    The result for an element is 0 if the tool cuts farthest at the present pose. When the results
     for all eight elements exceed ``enough`` [m], the remaining poses are skipped.
     """
     gap = lanes8()
@@ -122,7 +131,7 @@ def cut_straight(moved: wp.vec3, normal: Lanes3, half: lanes8):
 
     The tool was displaced by ``moved`` [m], without rotation.
     """
-    across = along(moved, normal)
+    across = dot_products(moved, normal)
     square = lanes8(moved[0] * moved[0] + moved[1] * moved[1] + moved[2] * moved[2])
     return across - wp.cw_mul(half, square - wp.cw_mul(across, across))
 

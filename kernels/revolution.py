@@ -20,7 +20,7 @@ smaller than any tool, has a bend of 1/3.
 
 @wp.struct
 class Revolution:
-    """Signed distance to a body of revolution, tabulated by radius and height above the tip."""
+    """Signed distance to a body of revolution as a table over radius and height above the tip."""
 
     distance: Singles2D  # [radius index, height index], negative inside [voxel]
     slope: wp.array2d(dtype=wp.vec2)  # gradient of the distance along (radius, height)
@@ -38,7 +38,7 @@ class Revolution:
 
 @wp.struct
 class Nearest:
-    """Distance of a point from the tool, with the gradient, and the bend of the tool's surface."""
+    """Distance of a point from the tool, distance gradient, and bend of the tool's surface."""
 
     distance: wp.float32  # signed distance [voxel]
     # average contribution of curvature in a block of 2 voxels and inside each voxel [voxel]
@@ -55,12 +55,13 @@ def nearest_on(tool: Revolution, offset: wp.vec3, axis: wp.vec3):
     ``offset`` [voxel] is the vector from the tool's tip to the point, and ``axis`` is the direction
     of the tool's axis.
 
-    Distance and gradient are interpolated bilinearly in the table. The bend is not interpolated.
+    The distance and the gradient are interpolated bilinearly in the tool's table. The bend is not
+    interpolated.
 
     The bend is (k1 + k2) / 6, with the principal curvatures k1 and k2 of the tool's surface. It is
-    the sum of two corrections. First, in a block of 2 x 2 x 2 voxels, the distance of a voxel
-    centre from the tool exceeds that from the tangent plane by (k1 + k2) / 8 on average. Second,
-    the mean distance over a voxel exceeds the distance at the voxel's centre by (k1 + k2) / 24.
+    the sum of two corrections. First, in a block of 2 x 2 x 2 voxels, a voxel centre is on average
+    (k1 + k2) / 8 farther from the tool than from the tangent plane. Second, the mean distance over
+    a voxel exceeds the distance at the voxel's centre by (k1 + k2) / 24.
     """
     height = wp.dot(offset, axis)
     outward = offset - height * axis

@@ -43,10 +43,11 @@ def project_shell(
     points_out: Points,
     triangle_out: Int32s,  # [point], -1 if the point meets no triangle
 ):
-    """Project every shell point onto the nearest triangle that the line along its normal crosses.
+    """Project every shell point along its normal onto the nearest triangle on this line.
 
     The distance along the normal must be less than ``reach`` plus the motion of the shell point
-    since the last tick (1 ms step). ``reach`` is the radius of the largest triangle [m].
+    since the last tick (1 ms step). ``reach`` is the radius [m] of the ball around the largest
+    triangle.
     """
     i = wp.tid() + offset
     pose = pose_of(pose_rows, SHELL, wp.vec2d())

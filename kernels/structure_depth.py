@@ -106,12 +106,12 @@ def hull_corner(
     half_angle: wp.float64,
     k: int,
 ):
-    """Return corner `k` of the hull around a cell of the medial axis, and the ball radius there.
+    """Return corner `k` of the hull around a medial-axis cell, and the ball radius at the corner.
 
     The hull encloses the ball centres of the cell. The ball centres at each end of the cell's
     segment form an arc around the tool's axis. For each of the two arcs, the hull has corners at
-    the ends of the arc and on the tangent at its middle. A concave function of centre and ball
-    radius has its smallest value at a corner of the hull.
+    the ends of the arc and on the tangent at the middle of the arc. The hull is used because a
+    concave function of ball centre and ball radius has its smallest value at a corner.
     """
     ball = wp.where(k < 4, start, end)
     turned = angle + wp.where(k % 2 == 0, -half_angle, half_angle)
@@ -144,13 +144,13 @@ def cell_bounds(
     surface [m].
 
     `cell.distance` is the known signed distance of another point from the surface, and `moved` is
-    the distance from this point to the middle of the cell. When the lower bound reaches `wanted`,
-    the function stops improving the bound.
+    the distance from this point to the middle of the cell. The function stops improving the lower
+    bound when this bound reaches `wanted`.
     """
     origin = medial.starts[segment]
-    along = medial.ends[segment] - origin
-    start = origin + cell.first * along
-    end = origin + cell.last * along
+    span = medial.ends[segment] - origin
+    start = origin + cell.first * span
+    end = origin + cell.last * span
     angle = cell.angle
     half_angle = cell.half_angle
     middle = HALF * (start + end)
@@ -233,8 +233,8 @@ def over_balls(
     """Compute a lower bound [m] of the smallest signed distance between structure and balls.
 
     The balls are the inscribed balls of the tool. Only balls whose centre lies in the structure are
-    included. On segments that `medial.across` marks, balls with centres outside are also included.
-    The result is at most `best`.
+    included. On segments that `medial.across` marks, balls whose centre lies outside the structure
+    are also included. The result is at most `best`.
     """
     smallest = best
     lowest = best
@@ -250,9 +250,9 @@ def over_balls(
         # others.
         root = (begin + turn) % number
         start = medial.starts[root]
-        along = medial.ends[root] - start
-        long = wp.sqrt(along[0] * along[0] + along[1] * along[1])
-        middle = start + HALF * along
+        span = medial.ends[root] - start
+        long = wp.sqrt(span[0] * span[0] + span[1] * span[1])
+        middle = start + HALF * span
         moved = wp.length(middle - last_middle)
         wanted = smallest - medial.tolerance
         lower, upper, signed = cell_bounds(mesh, motion, medial, root, whole, moved, wanted)
@@ -273,7 +273,7 @@ def over_balls(
                 lowest = wp.min(lowest, cell.bound - medial.slack)
                 continue
             length = (cell.last - cell.first) * long
-            radius = wp.max(start[0] + cell.first * along[0], start[0] + cell.last * along[0])
+            radius = wp.max(start[0] + cell.first * span[0], start[0] + cell.last * span[0])
             split = HALF * (cell.first + cell.last)
             # Halve the longer side.
             split_angle = TWO * radius * cell.half_angle > length
@@ -283,7 +283,7 @@ def over_balls(
                 # around the axis.
                 moved = wp.float64(0.25) * (cell.last - cell.first) * long
                 if split_angle:
-                    middle_radius = start[0] + split * along[0]
+                    middle_radius = start[0] + split * span[0]
                     moved = TWO * middle_radius * wp.sin(wp.float64(0.25) * cell.half_angle)
                     part.half_angle = HALF * cell.half_angle
                     part.angle = cell.angle + wp.where(half == 0, -part.half_angle, part.half_angle)

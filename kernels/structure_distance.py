@@ -58,10 +58,10 @@ def smallest_in_triangle(
     stack: Vectors2D,
     bound: Doubles,
 ):
-    """Find the smaller of `best` and the smallest distance between the tool and a triangle.
+    """Find the smallest distance between the tool and a triangle, limited to at most `best`.
 
     Return the distance [m], the number of evaluations so far, and the smallest lower bound of the
-    parts of the triangle that were not searched.
+    distance to the parts of the triangle that were not searched.
     """
     smallest = best
     # 1e9 m stands for no bound.
@@ -154,7 +154,8 @@ def over_surface(
 ):
     """Compute a lower bound of the signed distance [m] between the tool and a structure's surface.
 
-    The bound is below the distance by at most the tolerance of the search, see `widened`.
+    The difference between the distance and the bound is at most the search tolerance (see
+    `widened`).
     """
     # 1e9 m stands for no bound.
     smallest = wp.float64(1.0e9)
@@ -266,7 +267,7 @@ def clearance(
     # out
     least_out: Singles,  # [chunk], smallest distance of the chunk's elements [m]
 ):
-    """Compute the smallest distance between another body and the surface elements of each chunk.
+    """Compute the smallest distance of each chunk's surface elements from another body.
 
     The distances from the other body are given at voxel centres, and are interpolated trilinearly.
     """

@@ -53,7 +53,7 @@ def load(body: Body, patch: Patch, node: int, change: wp.vec3d):
 
 
 @wp.func
-def turn_of(
+def solve_triangle(
     body: Body,
     points: Points,
     patch: Patch,
@@ -63,8 +63,8 @@ def turn_of(
 ):
     """Solve the contact forces of one triangle, one contact point after another.
 
-    Return the largest change of the position of a contact point [m], and the largest displacement
-    of the triangle's nodes before this change [m].
+    Return the largest change of a contact point's position [m], and the largest displacement [m] of
+    the triangle's nodes before this change.
     """
     a = body.corners[triangle, 0]
     b = body.corners[triangle, 1]
@@ -221,7 +221,7 @@ def solve_contact(
         worst = wp.float64(0.0)
         largest = wp.float64(0.0)
         for k in range(lists_out.count[WORKING]):
-            step, moved = turn_of(
+            step, moved = solve_triangle(
                 body_out, points_out, patch_out, pose, friction, lists_out.working[k]
             )
             worst = wp.max(worst, step)

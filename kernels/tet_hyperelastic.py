@@ -45,7 +45,7 @@ wp.set_module_options({"max_unroll": 1})
 SWEEPS = 12
 """Largest number of sweeps of Jacobi's eigenvalue method. About five sweeps are needed."""
 EQUAL = wp.float64(1.0e-5)  # as in tissue.materials.hyperelasticity
-LEAST = wp.float64(1.0e-3)
+SMALLEST_EIGENVALUE = wp.float64(1.0e-3)
 """Smallest eigenvalue of the positive definite tangent, relative to the shear modulus."""
 
 
@@ -57,7 +57,7 @@ def gradient_of(
     reference: Doubles3D,
     corner: Vectors2D,
 ):
-    """Compute the gradient [1/m] of the shape function of node ``a`` at quadrature point ``q``."""
+    """Compute the shape-function gradient [1/m] of node ``a`` at quadrature point ``q``."""
     g = wp.vec3d()
     for c in range(4):
         g += reference[q, a, c] * corner[cell, c]
@@ -116,10 +116,10 @@ def removed(
 
 @wp.func
 def stretches_of(f: wp.mat33d):
-    """Compute the principal stretches and their axes V for a deformation gradient F, det F > 0.
+    """Compute the principal stretches and their axes V for a deformation gradient F with det F > 0.
 
-    The method is Jacobi rotations of F^T F (Golub and Van Loan 8.5). The code computes each entry
-    separately, because matrix products take three times as long.
+    The method applies Jacobi rotations to F^T F (Golub and Van Loan, section 8.5). The code
+    computes each entry separately, because matrix products take three times as long.
     """
     c = wp.transpose(f) * f
     xx = c[0, 0]
@@ -147,7 +147,7 @@ def stretches_of(f: wp.mat33d):
 
 @wp.func
 def power_sum(isochoric: wp.vec3d, alpha: wp.float64):
-    """Compute S(alpha) - 3, with first and second derivatives with respect to log stretches.
+    """Compute S(alpha) - 3, and its first and second derivatives with respect to log stretches.
 
     S(alpha) is the sum of the isochoric stretches, each raised to the power alpha.
     """
@@ -285,8 +285,8 @@ def pair_moduli(
     """Compute the tangent moduli that couple each shear F_ij with itself and with the shear F_ji.
 
     ``first`` and ``second`` are the derivatives of the energy density with respect to the
-    stretches. Return two symmetric matrices, one for each of the two couplings. The diagonals of
-    the matrices are not used.
+    stretches. Return two symmetric matrices. The first couples F_ij with itself, the second couples
+    F_ij with F_ji. The diagonals of the matrices are not used.
     """
     along = wp.mat33d()
     across = wp.mat33d()
@@ -332,7 +332,7 @@ def stretch_stiffness(
     # out
     block_out: Matrices2D,  # [cell, pair] [N/m]
 ):
-    """Compute the upper triangle of the blocks of each cell's tangent stiffness."""
+    """Compute the blocks in the upper triangle of each cell's tangent stiffness."""
     cell = wp.tid() + offset
     for pair in range(pair_first.shape[0]):
         block_out[cell, pair] = wp.mat33d()
@@ -347,7 +347,7 @@ def stretch_stiffness(
         second = wp.cw_div(curvature, wp.outer(stretch, stretch)) - wp.diag(
             wp.cw_div(first, stretch)
         )
-        smallest = LEAST * moduli[cell, 1]
+        smallest = SMALLEST_EIGENVALUE * moduli[cell, 1]
         along, across = pair_moduli(stretch, first, second, is_definite, smallest)
         if is_definite == 1:
             second = definite(second, smallest)
@@ -381,7 +381,7 @@ def gather_forces(
     # out
     force_out: Vectors,  # [node] [N]
 ):
-    """Sum the forces of the cells at each node, in a fixed order of the cells."""
+    """Sum the cell forces at each node, in a fixed order of the cells."""
     node = wp.tid() + offset
     total = wp.vec3d()
     for k in range(start[node], start[node + 1]):
@@ -402,7 +402,7 @@ def gather_blocks(
 ):
     """Sum the stiffness of the cells for each pair of nodes, and write the sum and its transpose.
 
-    The matrix is therefore symmetric to the last bit.
+    The assembled stiffness matrix is therefore exactly symmetric.
     """
     pair = wp.tid() + offset
     total = wp.mat33d()

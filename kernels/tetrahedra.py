@@ -51,9 +51,9 @@ def cell_gradients(
     u = nodes[cell_nodes[cell, 1]] - origin
     v = nodes[cell_nodes[cell, 2]] - origin
     w = nodes[cell_nodes[cell, 3]] - origin
-    along = wp.cross(v, w)
-    six = wp.dot(u, along)
-    first = along / six
+    normal = wp.cross(v, w)
+    six = wp.dot(u, normal)
+    first = normal / six
     second = wp.cross(w, u) / six
     third = wp.cross(u, v) / six
     gradient_out[cell, 0] = -(first + second + third)
@@ -70,7 +70,7 @@ def gradient_product(
     pair_weight: Doubles2D,
     gradient: Vectors2D,
 ):
-    """Compute ``S / V`` for a pair of nodes in a cell. Return the cell's index and the matrix.
+    """Compute the matrix ``S / V`` for two nodes of a cell, and return it with the cell's index.
 
     S is the integral of the product of the gradients of the two shape functions, and V is the
     volume of the cell. If ``contribution`` is negative, the pair is reversed and S is transposed.

@@ -39,12 +39,12 @@ class Outline:
 
 @wp.func
 def widened(tolerance: wp.float64, evaluations: int, doubling: int):
-    """Return the tolerance of a search after a number of evaluations.
+    """Return the increased tolerance of a search after a number of evaluations.
 
     The tolerance doubles every `doubling` evaluations beyond `MOST_EVALUATIONS`. The growing
     tolerance limits the time of a search with many equally near triangles, as in a fine tube around
-    the tool. A limit of the number of evaluations would cause larger errors. It would leave large
-    boxes unsearched, and their distance bounds are millimetres too low.
+    the tool. Stopping after a fixed number of evaluations would cause larger errors. Large boxes
+    would then not be searched, and the distance bounds of such boxes are millimetres too low.
     """
     if evaluations < MOST_EVALUATIONS:
         return tolerance
@@ -56,14 +56,14 @@ def widened(tolerance: wp.float64, evaluations: int, doubling: int):
 def on_line(shape: Doubles2D, k: int, p: wp.vec2d):
     """Compute the vector from the nearest point of a straight piece of the outline to ``p``.
 
-    Also return the radius of curvature [m] of the curve through ``p`` on which the distance is
-    constant. The radius is 1e9 m for a straight curve.
+    Also return the radius of curvature [m], at ``p``, of the curve of constant distance through
+    ``p``. The radius is 1e9 m for a straight curve.
     """
     start = wp.vec2d(shape[k, 0], shape[k, 1])
-    along = wp.vec2d(shape[k, 2], shape[k, 3])
-    free = wp.dot(p - start, along)
+    direction = wp.vec2d(shape[k, 2], shape[k, 3])
+    free = wp.dot(p - start, direction)
     reach = wp.clamp(free, ZERO, shape[k, 4])
-    offset = p - start - reach * along
+    offset = p - start - reach * direction
     # 1e9 m: straight
     bend = wp.float64(1.0e9)
     # Beyond an end, the distance is curved around this end. Along the line, it is not curved.
@@ -98,8 +98,8 @@ def on_arc(shape: Doubles2D, k: int, p: wp.vec2d):
 def distance_to_part(outline: Outline, part: int, point: wp.vec3d):
     """Compute the signed distance of a point from one part of the tool.
 
-    Also return the gradient of the distance, and a radius of curvature. The surface of constant
-    distance through the point has two principal radii, of which the smaller is returned.
+    Also return the gradient of the distance, and a radius of curvature. Through the point passes a
+    surface of constant distance. The smaller of its two principal radii is returned.
     """
     radius = wp.sqrt(point[0] * point[0] + point[1] * point[1])
     p = wp.vec2d(radius, point[2])
@@ -175,7 +175,7 @@ def nearest_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
 
 @wp.func
 def best_mix(first: wp.vec3d, second: wp.vec3d):
-    """Find the weights for which the weighted mean of two linear functions has the largest minimum.
+    """Find the weighted mean of two linear functions with the largest minimum over a triangle.
 
     The functions are defined on a triangle. Each function, and the returned weighted mean, is given
     by its values at the corners of the triangle.
@@ -201,8 +201,8 @@ def bounds_over(outline: Outline, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, best: w
     """Compute a lower and an upper bound of the smallest distance between tool and triangle.
 
     Gradient descent approaches the point of the triangle with the smallest distance. If the
-    distance function is smooth at this point, its linear approximation gives the exact lower bound.
-    At a crease, a weighted mean of two linear approximations gives this bound.
+    distance function is smooth at this point, the lower bound from its linear approximation is
+    exact. At a crease, a weighted mean of two linear approximations gives this bound.
     """
     middle = (a + b + c) / THREE
     size = wp.max(wp.length(a - middle), wp.max(wp.length(b - middle), wp.length(c - middle)))

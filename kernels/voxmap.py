@@ -47,7 +47,9 @@ class Field:
 
 @wp.func
 def box_distance(field: Field, box: int, point: wp.vec3d):
-    """Compute the signed distance [m] to a box, negative inside, and its unit gradient.
+    """Compute the signed distance [m], with its unit gradient, of a point from a box.
+
+    The distance is negative inside the box.
 
     Inside the box, the magnitude of the distance is the distance to the nearest face.
     """
@@ -76,7 +78,7 @@ def box_distance(field: Field, box: int, point: wp.vec3d):
 
 @wp.func
 def voxel_clearance(field: Field, point: wp.vec3d):
-    """Return a lower bound of the distance [m] from a point to the contact range of bone voxels."""
+    """Return a lower bound of a point's distance [m] from the region that bone voxels affect."""
     place = (point - field.origin) * field.voxels_per_m
     cell = wp.vec3i()
     beyond = wp.vec3d()
@@ -97,7 +99,7 @@ def voxel_clearance(field: Field, point: wp.vec3d):
 
 @wp.func
 def held(remaining: Shorts2D, row: int, ix: int, iy: int, iz: int):
-    """Return the filled fraction of a voxel in the brick at ``row``; 0 if ``row`` is negative."""
+    """Return the filled fraction of a voxel in the brick at ``row``, or 0 if ``row`` < 0."""
     fraction = wp.float64(0.0)
     if row >= 0:
         fraction = wp.float64(remaining[row, voxel_column(ix, iy, iz)]) * STEP
@@ -115,8 +117,8 @@ def column_pair(
 ):
     """Return the filled fractions of a voxel and of the next voxel along z.
 
-    ``row`` is the row of the brick that contains both voxels, or -2 if it is not known and must be
-    searched.
+    ``row`` is the row of the brick that contains both voxels. If ``row`` is -2, the function
+    searches for the brick.
     """
     low = row
     if row < 0:

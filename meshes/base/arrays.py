@@ -19,7 +19,7 @@ Triangles = tuple[Array, Ints]
 
 
 def lattice(*axes: ArrayLike) -> Any:
-    """Return all points of a lattice, shape (n, number of axes), from coordinates per axis.
+    """Return the lattice points, shape (n, number of axes), for the coordinates on each axis.
 
     The last axis varies fastest.
     """
@@ -27,7 +27,7 @@ def lattice(*axes: ArrayLike) -> Any:
 
 
 def box_of(mask: Flags, margin: int = 0) -> tuple[slice, ...]:
-    """Return slices of the box around a nonempty mask, extended by a margin [voxel].
+    """Return slices of a nonempty mask's bounding box with a margin [voxel] on each side.
 
     The box stays within the array.
     """
@@ -49,7 +49,7 @@ def compact(points: Array, cells: Ints) -> tuple[Array, Ints]:
 
 
 def directed_edges(triangles: Ints) -> Ints:
-    """Return the start and end point index, shape (3 m, 2), of each edge of m triangles.
+    """Return the indices of the start and end points, shape (3 m, 2), of the edges of m triangles.
 
     The result contains the first edges of all triangles, then the second edges, then the third
     edges.
@@ -60,8 +60,8 @@ def directed_edges(triangles: Ints) -> Ints:
 def windings(triangles: Ints) -> Ints:
     """Return the orientation of each triangle, shape (m,), relative to its vertex indices.
 
-    The value is -1 if the indices ascend when read from the smallest index, and 1 if they descend.
-    The value is 0 if a triangle uses a point twice.
+    The value is -1 if the indices ascend in cyclic order (such as 0, 1, 2 or 1, 2, 0), and 1 for
+    the reverse order. The value is 0 if a triangle uses a point twice.
     """
     a, b, c = triangles.T
     return np.sign(b - a) * np.sign(c - b) * np.sign(a - c)

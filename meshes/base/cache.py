@@ -55,9 +55,10 @@ def cached_arrays(kind: str, key: Iterable[object], make: Callable[[], Arrays]) 
 
     Notes
     -----
-    A file contains the arrays, their checksums, and the version of the code (the version of tissue
-    and of the module of ``make``). The arrays are computed again if the file cannot be read, or if
-    a checksum or the version does not match. If the folder cannot be written, nothing is stored.
+    A file contains the arrays, their checksums, and the version of the code. This version covers
+    tissue and the module that defines ``make``. The arrays are computed again if the file cannot be
+    read, or if a checksum or the version does not match. If the folder cannot be written, nothing
+    is stored.
     """
     digest = hashlib.blake2b(digest_size=_DIGEST_BYTES)
     for part in key:
@@ -102,7 +103,7 @@ def _code(make: Callable[[], Arrays]) -> str:
 Result = TypeVar("Result")
 
 
-class Kept(Generic[Result]):
+class RecentResults(Generic[Result]):
     """In-memory store of the most recently requested results.
 
     The store saves time, because the trials of a case study request the same meshes, voxels and

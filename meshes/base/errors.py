@@ -85,7 +85,7 @@ def _sentence(remedy: str) -> str:
 
 
 class DamagedFileError(Exception):
-    """Error for damage inside a file, described in terms of the file's format.
+    """Error whose message describes the damage of a file in terms of the file's format.
 
     The function that reads the file inserts the description into its own error message.
     """
@@ -97,7 +97,7 @@ def counted(count: int, noun: str) -> str:
 
 
 def by(numbers: Iterable[float], form: str = "g") -> str:
-    """Format sizes along several axes, for example "3 x 4 x 5"."""
+    """Format the sizes of several axes as text, for example "3 x 4 x 5"."""
     return " x ".join(format(number, form) for number in numbers)
 
 
@@ -112,7 +112,7 @@ def require_positive(name: str, value: float, remedy: str) -> float:
     Parameters
     ----------
     name
-        Name of the caller's argument, which includes the unit.
+        Name of the caller's argument. The name includes the unit.
     value
         Number to check, in the unit that `name` contains.
     remedy
@@ -189,7 +189,7 @@ def require_ranges(*rows: tuple[str, float, float, float, str]) -> list[float]:
 
 
 def as_vector(value: object) -> "Array | None":
-    """Return three finite numbers as an array, or None for any other value."""
+    """Return `value` as an array if it consists of three finite numbers, else None."""
     import numpy as np
 
     try:
@@ -322,7 +322,7 @@ def names_of_caller(names: Mapping[str, str]) -> Iterator[None]:
 
 
 def ranged(default: float, lowest: float, highest: float, remedy: str = "") -> Any:
-    """Declare a numeric field of a `Ranged` dataclass, with its default and its limits."""
+    """Declare a numeric field, with a default and limits, in a `Ranged` dataclass."""
     return field(
         default=default,
         metadata={"range": (lowest, highest, remedy or f"use a value such as {default:g}")},

@@ -48,7 +48,7 @@ class Grid:
 
     @property
     def origin_m(self) -> Array:
-        """Corner [m], shape (3,), of the grid with the smallest coordinates."""
+        """Lowest corner [m] of the grid, shape (3,)."""
         return np.array(self.first) * self.spacing_m
 
     def blocked(self) -> Grid:
@@ -65,7 +65,7 @@ class Grid:
         )
 
     def slab(self, start: int, stop: int) -> Grid:
-        """Return the part of the grid from the x index `start` up to, but not including, `stop`.
+        """Return the part of the grid with x indices from `start` to `stop` - 1.
 
         `start` and `stop` are counted from the grid's first voxel.
         """
@@ -76,7 +76,7 @@ class Grid:
         )
 
     def block_firsts(self) -> Ints:
-        """Return the lowest voxel index in each block of 8 x 8 x 8 voxels, shape (n, 3).
+        """Return the lowest voxel indices, shape (n, 3), of the blocks of 8 x 8 x 8 voxels.
 
         The grid must consist of whole blocks. The blocks are listed in C order.
         """

@@ -63,10 +63,10 @@ OTHER_UNIT = 0.9
 
 
 def closest(word: str, known: Iterable[str]) -> list[str]:
-    """Return the known names that a word most likely means, best first, at most `MOST`.
+    """Return at most `MOST` known names that resemble a word, the most similar name first.
 
     Names are compared word by word. Words are compared by spelling. Words in `SAME_MEANING` are
-    also compared by meaning. Different units lower the similarity, see `OTHER_UNIT`.
+    also compared by meaning. A different unit in a name lowers the similarity (see `OTHER_UNIT`).
     """
     scores = {name: _score(word, name) for name in known}
     best = max(scores.values(), default=0.0)
@@ -85,7 +85,7 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def suggests_arguments(of: F) -> F:
-    """Decorate a function or class such that errors for an unknown argument suggest a known name.
+    """Make errors for unknown arguments of a function or class suggest a known argument.
 
     Parameters
     ----------

@@ -122,8 +122,8 @@ def parse_isolated(
     file
         File, or folder of files.
     what, remedy
-        Expected kind of file for messages, such as "VTK surface", and instruction for the user if
-        the file has another kind.
+        Expected kind of file, such as "VTK surface", and instruction for the user if the kind
+        differs. Both are used in messages.
     options
         Further arguments of the function. JSON must be able to represent them.
 

@@ -20,7 +20,7 @@ With this deviation, a point at a distance of 1 m has a position error of about 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Rigid transform between the frame of a file and the frame of the scene, and the file's unit.
+    """Rigid transform between a file's frame and the scene's frame, and length unit of the file.
 
     For a surface, the file's frame is the frame of the stored coordinates. For an image, it is the
     patient frame (LPS).
@@ -30,7 +30,8 @@ class Placement:
     origin_mm
         Origin of the scene [mm], shape (3,), in the file's frame.
     rotation
-        Axes of the scene as columns in the file's frame, shape (3, 3). The axes are right-handed.
+        Matrix, shape (3, 3), whose columns are the scene's axes in the file's frame. The axes are
+        right-handed.
     unit_mm
         Length unit of the file [mm].
     """
@@ -63,7 +64,7 @@ class Placement:
         ) @ self.rotation
 
     def to_record(self) -> dict[str, Any]:
-        """Return the matrix and the unit as plain numbers, for a run's summary."""
+        """Return the transform matrix and the unit as plain numbers, for the summary of a run."""
         return {
             "file_to_scene_mm": self.file_to_scene_mm.tolist(),
             "file_unit_mm": float(self.unit_mm),

@@ -63,7 +63,7 @@ class TextTable:
     lines
         Line number of each row in the file.
     above
-        Lines of text before the header.
+        Text lines that precede the header.
     marks
         Decimal mark and thousands separator. The separator may be empty.
     notes
@@ -80,10 +80,11 @@ class TextTable:
     notes: tuple[str, ...]
 
     def numbers(self, name: str) -> Array:
-        """Return the numbers of a column, shape (n,). The number of an empty cell is NaN.
+        """Return the numbers of a column, shape (n,). An empty cell becomes NaN.
 
         Dates with times are converted to seconds since 1970 in UTC. Times without a time zone count
-        as UTC. Times of day are converted to seconds since the midnight before the first row.
+        as UTC. Times of day are converted to seconds since the midnight before the first row's
+        time.
 
         Raises
         ------

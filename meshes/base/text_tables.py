@@ -159,8 +159,8 @@ def require_distinct_columns(names: Iterable[str], what: str, path: Path) -> Non
     Raises
     ------
     InputError
-        If a name occurs twice. The message names the file by `what`, the user's argument or key for
-        this file.
+        If a name occurs twice. The message contains the path and `what`. `what` is the user's
+        argument or key for the file.
     """
     seen = set[str]()
     for name in names:

@@ -71,17 +71,17 @@ def _parts(header: str, quantity: str) -> tuple[str, str]:
 
 
 def unit_of(header: str, quantity: str) -> str:
-    """Return the unit in a header, or an empty string if the header has no unit of the quantity."""
+    """Return the unit of `quantity` in a header, or an empty string if there is none."""
     return _parts(header, quantity)[1]
 
 
 def name_of(header: str, quantity: str) -> str:
-    """Return the name in a header without unit, in lower case: "Tool X [mm]" becomes "tool_x"."""
+    """Return a header's name in lower case without the unit: "tool_x" for "Tool X [mm]"."""
     return re.sub(r"[^a-z0-9]+", "_", _parts(header, quantity)[0].lower()).strip("_")
 
 
 def column_of(wanted: str, quantity: str, headers: Sequence[str]) -> str | None:
-    """Return the header of a wanted column in any unit, for example "tool_x [um]" for "tool_x_mm".
+    """Return the header that equals `wanted` apart from the unit, for example "tool_x [um]".
 
     Returns
     -------

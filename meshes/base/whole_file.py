@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Owner(Protocol):
-    """Folder whose `claim` method is called before a file in the folder is written."""
+    """Owner of a folder, whose `claim` method is called before a file in the folder is written."""
 
     def depth(self, path: Path) -> int:
         """Return the number of components of the folder's path.
@@ -47,12 +47,12 @@ def claim(path: Path) -> None:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary path, to which a ``with`` block writes the content of the file `path`.
+    """Yield a temporary path for the new content of the file `path`.
 
     The temporary path has the folder and the suffix of `path`. When the block ends, the temporary
     file replaces the file `path` in one step. If the block fails, the temporary file is deleted.
     Other processes therefore never read an incomplete file. If two processes write the file at the
-    same time, the complete file of one of them remains. A folder in `OWNERS` that contains the file
+    same time, the complete file of one of them remains. The `claim` method of a folder in `OWNERS`
     may raise an error before the block starts.
     """
     claim(path)
@@ -103,7 +103,7 @@ def require_version(
     newest
         Newest format version that can be read.
     where
-        File, for messages.
+        Path of the file, used in messages.
     remedy
         Instruction for the user if the file has no version.
 
@@ -135,7 +135,7 @@ def require_version(
 
 
 def require_new_file(path: Path, *, overwrite: bool, name: str = "out") -> None:
-    """Check that a file can be written, as a new file or as a replacement of a regular file.
+    """Check that a new file can be written or that an existing regular file may be replaced.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
 
 
 def write_columns(path: Path, columns: "Mapping[str, ArrayLike]") -> None:
-    """Write named columns of equal length as CSV, with all digits."""
+    """Write named columns of equal length as CSV, without rounding the numbers."""
     import numpy as np  # the command line imports this module and should not load NumPy
 
     rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
@@ -211,7 +211,7 @@ def write_columns(path: Path, columns: "Mapping[str, ArrayLike]") -> None:
 
 
 def write_rows(path: Path, rows: Iterable[Iterable[object]]) -> None:
-    """Write rows as CSV. The file appears in one step, and numbers have all digits."""
+    """Write rows as CSV. The file appears in one step, and the numbers are not rounded."""
     with whole_file(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows(rows)
 

@@ -68,8 +68,8 @@ def imaged_anatomy(
 ) -> Anatomy:
     """Return the anatomy of a bone in the site frame, with densities interpolated from an image.
 
-    Dense bone is cortical. Dense bone within 5 mm below an articular face is the subchondral plate.
-    Bone of lower density is trabecular.
+    Dense bone is cortical. Dense bone at most 5 mm below an articular face is the subchondral plate
+    instead. Bone of lower density is trabecular.
 
     Parameters
     ----------
@@ -150,8 +150,8 @@ def cored_anatomy(
     Parameters
     ----------
     surface
-        Surface around the whole bone, or surface of the cortical bone alone. The latter has a
-        cavity at the core.
+        Outer surface of the bone, or surface of the cortical bone alone. The surface of the
+        cortical bone includes the inner surface around the core.
     core
         Surface around the trabecular bone, in the frame of `surface`.
 

@@ -28,7 +28,7 @@ ENERGIES_KEV = (30.0, 150.0)
 
 
 def mass_attenuation(material: str, energy_keV: float) -> float:
-    """Compute the mass attenuation coefficient [m2/kg] of a material of ``attenuation.toml``.
+    """Compute a material's mass attenuation coefficient [m2/kg] from ``attenuation.toml``.
 
     The coefficient is the sum over the chemical elements, weighted by their mass fractions. Between
     the energies of the table, the logarithm of the coefficient is interpolated by cubic splines.
@@ -148,7 +148,7 @@ _ERROR_HU = 1.0
 
 @dataclass(frozen=True)
 class Region:
-    """Mean value of one tissue in an image, and its standard error [HU]."""
+    """Mean value of a tissue in an image, and standard error of the mean [HU]."""
 
     mean_HU: float
     error_HU: float
@@ -158,7 +158,8 @@ class Region:
 class Calibration:
     """Result of a calibration: law that converts Hounsfield units to density.
 
-    `energy_keV` and `energy_sd_keV` are the effective energy and its standard deviation.
+    `energy_keV` and `energy_sd_keV` are the effective energy of the X-rays and its standard
+    deviation.
     """
 
     law: DensityLaw
@@ -172,16 +173,17 @@ def density_law(text: str, image: Image) -> DensityLaw:
     Parameters
     ----------
     text
-        A name of `DENSITY_LAWS`; ``line:SLOPE,OFFSET`` [kg/m3 per Hounsfield unit, kg/m3] for
-        apparent density; ``line:SLOPE,OFFSET,K2HPO4`` (or HA, ash) for a phantom's equivalent
-        density; or ``internal`` for a calibration from the image's own air, fat, muscle and cortex.
+        One of: a name in `DENSITY_LAWS`; ``line:SLOPE,OFFSET`` for apparent density;
+        ``line:SLOPE,OFFSET,K2HPO4`` (or HA, ash) for the equivalent density of a phantom;
+        ``internal`` for a calibration with the image's own air, fat, muscle and cortex. The units
+        are kg/m3 per Hounsfield unit (SLOPE) and kg/m3 (OFFSET).
     image
         The CT [Hounsfield units].
 
     Raises
     ------
     InputError
-        If the text has another form, or the image lacks tissues that a calibration needs.
+        If the text has none of these forms, or the image lacks tissues that a calibration needs.
     """
     text = text.strip()
     if text.lower() == "internal":
@@ -206,13 +208,13 @@ def density_law(text: str, image: Image) -> DensityLaw:
 
 
 def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
-    """Fit energy, scanner errors and density law to the mean values of tissues in an image.
+    """Fit the X-ray energy, the scanner errors and the density law to the mean values of tissues.
 
     The result includes the uncertainty of the density law.
 
-    The unknowns are the effective energy, the scanner's errors in the value of water and in the
-    scale, the fat content of marrow, and one deviation for each tissue. This deviation is the
-    relative difference of the tissue's attenuation from the value computed with ICRU 44. Each
+    The unknowns are the effective energy, the scanner's error in the value of water, the scanner's
+    scale error, the fat content of marrow, and one deviation for each tissue. This deviation is the
+    relative difference between the tissue's attenuation and the value according to ICRU 44. Each
     unknown is scaled such that its prior is the standard normal distribution. The covariance is
     computed from the linearised problem.
 
@@ -312,10 +314,10 @@ def _density_line(unknown: Array) -> Array:
 def find_regions(image: Image) -> dict[str, Region]:
     """Find air, adipose, muscle and cortex in a CT.
 
-    Only voxels in homogeneous neighbourhoods are used, where the values vary only by noise. The
-    values of fat and muscle are maxima of the histogram in the ranges of these tissues. The value
-    of air is the median in its range. Cortex is the densest tenth of the voxels that are surrounded
-    by bone and not near metal.
+    Only voxels in homogeneous neighbourhoods are used. Values in such a neighbourhood differ only
+    by noise. The values of fat and muscle are maxima of the histogram in the ranges of these
+    tissues. The value of air is the median in its range. Cortex is the densest tenth of the voxels
+    that are surrounded by bone and not near metal.
     """
     from scipy.ndimage import uniform_filter
 

@@ -37,8 +37,8 @@ class DensityLaw:
         Variance of the slope, covariance of slope and offset, and variance of the offset
         [(kg/m3)^2].
     relative_sd
-        Relative standard deviation of a factor that applies to the whole density, such as the ratio
-        of ash to apparent density.
+        Relative standard deviation of a factor that multiplies all densities, such as the ratio of
+        ash density to apparent density.
     """
 
     slope_kg_m3: float
@@ -162,12 +162,13 @@ Dragomir-Daescu 2011) to 1.22 (Les 1994, table 1 of Knowles 2016). For HA, the s
 
 
 def line_law(slope: float, offset: float, equivalent: str = "apparent") -> DensityLaw:
-    """Return the density law for a linear relation of Hounsfield units and a phantom's density.
+    """Return the density law for a phantom density that is linear in Hounsfield units.
 
     Parameters
     ----------
     slope, offset
-        Density per Hounsfield unit, and density at 0 Hounsfield units [kg/m3, equal to mg/cm3].
+        Density per Hounsfield unit [kg/m3], and density at 0 Hounsfield units [kg/m3]. 1 kg/m3 is
+        equal to 1 mg/cm3.
     equivalent
         Substance to which the density refers: ``K2HPO4`` or ``HA`` in water, ``ash``, or
         ``apparent``.

@@ -55,8 +55,8 @@ class Masks:
     segments
         Number and name of each segment.
     masks
-        Tuples of a segment's number, the index of a plane along the last axis, and the segment's
-        mask in this plane. If the index is None, the mask has the shape of the grid.
+        Tuples with three entries: segment number, plane index along the last axis, and mask of the
+        segment in this plane. If the index is None, the mask has the shape of the grid.
     """
 
     grid: StoredImage | Image

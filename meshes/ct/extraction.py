@@ -67,13 +67,13 @@ class BoneOfImage:
     triangles
         Vertices [mm, LPS], shape (n, 3), and triangles, shape (m, 3).
     cuts
-        Points [m] where the edge of the image cuts off the bone: one array, shape (k, 3), for each
-        connected area of the cut.
+        Points [m] on the cuts, where the image ends inside the bone: one array, shape (k, 3), for
+        each connected cut.
     notes
         Sentences for users.
     label_mm3
-        Volume of the label's voxels [mm3]. If the bone was extracted by a threshold, volume of the
-        filled piece.
+        Volume of the label's voxels [mm3]. If the bone was extracted by a threshold, this is the
+        volume of the bone including the filled marrow space.
     """
 
     image: Image
@@ -90,12 +90,12 @@ class BoneOfImage:
         return enclosed_volume(*self.triangles)
 
     def density(self, law: Callable[[Floats], Singles]) -> Image:
-        """Compute the apparent density [kg/m3] of the bone and of voxels around it, 0 elsewhere.
+        """Compute the apparent density [kg/m3] in and around the bone, and set it to 0 elsewhere.
 
         A voxel that the surface crosses contains bone and soft tissue. The grey value of such a
         voxel is the weighted mean of the values of bone and soft tissue. If at least half of the
-        voxel is bone, the value of bone is computed from this mean. Otherwise, the voxel gets the
-        density of the nearest voxel that is at least half bone.
+        voxel is bone, the grey value of the bone alone is computed from this mean. Otherwise, the
+        voxel gets the density of the nearest voxel that is at least half bone.
         """
         from scipy.ndimage import binary_dilation, distance_transform_edt
 
@@ -140,7 +140,7 @@ def cropped(image: Image, box_mm: Box, *, stated_in: str = "LPS") -> Image:
     """Crop an image to the voxels whose centres lie in a box [mm, LPS].
 
     `stated_in` is the coordinate system in which the user stated the box, LPS or RAS. If the box
-    lies in the image in the other system, the error suggests that system.
+    lies in the image when it is read in the other system, the error suggests this system.
 
     Raises
     ------
@@ -179,10 +179,10 @@ def by_label(image: Image, mask: Flags) -> BoneOfImage:
 
     `mask` has the image's shape. Only the largest connected piece of the label is used.
 
-    The voxel steps of the label are smoothed. The surface is a level set of the smoothed label. The
-    level is chosen such that the surface contains as many voxels as the label. If voxels are small
-    compared with the bone, the volume inside the triangles differs from the volume of the label by
-    less than 1 %.
+    The staircase boundary of the label is smoothed. The surface is a level set of the smoothed
+    label. The level is chosen so that the surface encloses as many voxel centres as the label has
+    voxels. If voxels are small compared with the bone, the volume inside the triangles differs from
+    the volume of the label by less than 1 %.
     """
     from scipy.ndimage import gaussian_filter
 
@@ -194,7 +194,7 @@ def by_label(image: Image, mask: Flags) -> BoneOfImage:
     field = gaussian_filter(mask.astype(np.float32), sigmas, mode="nearest")
     count = int(mask.sum())
     level = float(np.partition(field, field.size - count, axis=None)[field.size - count])
-    bone = _laid(part, field, level, other, count)
+    bone = _bone_of_field(part, field, level, other, count)
     if marked == count:
         return bone
     left_ml = 1e-3 * (marked - count) * float(np.prod(part.spacing_mm))
@@ -203,7 +203,7 @@ def by_label(image: Image, mask: Flags) -> BoneOfImage:
 
 
 def by_threshold(image: Image, threshold: float) -> BoneOfImage:
-    """Extract the largest connected piece above a grey value, and fill its marrow space."""
+    """Extract the largest connected set of voxels above a grey value, and fill its marrow."""
     from scipy.ndimage import binary_dilation, gaussian_filter
 
     above = image.values > threshold
@@ -219,10 +219,12 @@ def by_threshold(image: Image, threshold: float) -> BoneOfImage:
     field[whole & (field <= threshold) & ~(binary_dilation(~whole) & ~piece)] = threshold + step
     apart = ~binary_dilation(whole)
     field[apart] = np.minimum(field[apart], threshold - step)
-    return _laid(part, field, threshold, other, int(whole.sum()))
+    return _bone_of_field(part, field, threshold, other, int(whole.sum()))
 
 
-def _laid(part: Image, field: Singles, level: float, other: float, voxels: int) -> BoneOfImage:
+def _bone_of_field(
+    part: Image, field: Singles, level: float, other: float, voxels: int
+) -> BoneOfImage:
     """Build the bone that consists of the voxels in which a field is above a level.
 
     `other` is the size of the second-largest piece, relative to the largest.
@@ -233,8 +235,8 @@ def _laid(part: Image, field: Singles, level: float, other: float, voxels: int) 
     # A smaller piece is probably not the bone that the user wants.
     if other >= 0.1:
         notes.append(
-            f"The next piece has {other:.0%} of the size of the one that was taken: crop to "
-            "the bone that is meant."
+            f"Only the largest piece is used. The second largest has {other:.0%} of its size: crop "
+            "the image to the bone that is meant."
         )
     if cuts:
         notes.append(
@@ -254,7 +256,7 @@ def _around(image: Image, mask: Flags) -> tuple[Image, Flags]:
 
 
 def largest_component(mask: Flags, source: str) -> tuple[Flags, float]:
-    """Return the largest piece of a mask, and the relative size of the second-largest piece.
+    """Return a mask's largest piece, and the ratio of the second-largest to the largest size.
 
     Raises
     ------
@@ -280,8 +282,8 @@ def filled(mask: Flags, image: Image) -> Flags:
     Gaps of the cortex are closed first. Then, in each plane normal to an image axis, the regions
     that the mask encloses are filled.
 
-    If the edge of the image cuts off a bone, the marrow is enclosed only in planes of some
-    directions. Planes of all three directions are therefore used.
+    If the image ends inside a bone, the marrow is enclosed only in planes normal to certain image
+    axes. Planes normal to all three image axes are therefore used.
     """
     from scipy.ndimage import binary_fill_holes, distance_transform_edt
 
@@ -300,12 +302,12 @@ def filled(mask: Flags, image: Image) -> Flags:
 
 
 def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints], tuple[str, ...]]:
-    """Return the surface of a structure that a tool must keep clear of, and notes.
+    """Return the surface of a structure that a tool must avoid, and notes for the user.
 
     The surface consists of vertices [mm, LPS], shape (n, 3), and triangles, shape (m, 3).
 
-    Each piece is smoothed separately, and its volume does not change. Parts that are so thin that
-    smoothing would remove them are not smoothed.
+    Each connected piece of the structure is smoothed separately without changing its volume. Parts
+    that are so thin that smoothing would remove them are not smoothed.
 
     Parameters
     ----------
@@ -348,13 +350,15 @@ def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints]
         sizes = voxel_ml * np.sort(np.bincount(pieces.ravel())[1:])[::-1]
         listed = ", ".join(f"{size:.3g}" for size in sizes[:_LISTED])
         more = "" if count <= _LISTED else f" and {counted(count - _LISTED, 'smaller one')}"
-        notes.append(f"{name}: {count} pieces of {listed} ml{more}, all of them kept clear of")
+        notes.append(
+            f"{name}: {count} pieces of {listed} ml{more}, all of them structures to keep clear of"
+        )
     cuts = len(image_cuts(smooth, threshold=0.0))
     if cuts:
         places = counted(cuts, "place")
         notes.append(
-            f"{name}: it ends at {places} at the edge of the image or of the crop, beyond "
-            "which it is unknown"
+            f"{name}: it is cut off at {places} by the edge of the image or of the crop, and is "
+            "unknown beyond this edge"
         )
     return image_triangles(smooth, threshold=0.0), tuple(notes)
 

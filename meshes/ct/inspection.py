@@ -136,20 +136,21 @@ class Inspection:
         Number of voxels, and distance between neighbours [mm], along x (left), y (back) and z
         (head).
     low_mm, high_mm
-        Corners of the image with the smallest and the largest coordinates [mm, LPS].
+        Smallest and largest coordinates of the image [mm, LPS].
     lowest, highest
         Smallest and largest value.
     is_hounsfield
         Whether the values may be Hounsfield units. This is true if the lowest value is below -100,
         and enough values lie in the range of air or in the range of soft tissue.
     noise
-        Standard deviation of soft tissue, estimated from differences of neighbours, in units of the
-        values; None without soft tissue. Noise that is correlated between neighbouring voxels is
-        not included.
+        Estimated standard deviation of the values in soft tissue; None if there is no soft tissue.
+        It is computed from differences between neighbouring voxels. Noise that is correlated
+        between neighbouring voxels is not included.
     metal_mm3, metal_mm
-        Volume above 3000 HU [mm3], and its centre [mm, LPS]; 0 and None without metal.
+        Volume of the voxels above 3000 HU [mm3], and their centre [mm, LPS]; 0 and None if there is
+        no metal.
     padding
-        Share of voxels with the lowest value if this value is below air; otherwise 0.
+        Share of voxels with the lowest value if this value is below that of air; otherwise 0.
     """
 
     source: str
@@ -290,7 +291,10 @@ def suggest_threshold(histogram: Histogram, *, is_hounsfield: bool) -> tuple[flo
         return level, f"threshold {level:g} by Otsu's criterion over all values"
     soft = histogram.peak(*_SOFT_PEAK_HU)
     if soft is None:
-        return 226.0, "threshold 226 HU, as common programs have it: no soft tissue was found"
+        return (
+            226.0,
+            "threshold 226 HU, the value of common programs, because no soft tissue was found",
+        )
     part = (values > soft) & (values < _MOST_HU)
     level = min(max(round(_otsu(values[part], counts[part])), LOWEST_HU), HIGHEST_HU)
     return level, f"threshold {level:g} HU by Otsu's criterion above soft tissue at {soft:g} HU"

@@ -35,7 +35,8 @@ class Segment:
     number, name
         Label number and name.
     side
-        ``left`` or ``right`` if the file states the body side separately from the name, else empty.
+        ``left`` or ``right`` if the file states the body side separately from the name, else an
+        empty string.
     layer, value
         Index of the layer that contains the segment, and value of the segment in this layer. A file
         has several layers if segments overlap.
@@ -70,7 +71,7 @@ def side_of(text: str) -> str:
 
 @cache
 def label_sets() -> dict[str, dict[int, str]]:
-    """Return a dictionary from label number to name for each known program."""
+    """Return, for each known segmentation program, a dictionary from label number to name."""
     table = tomllib.loads(files("meshes.ct").joinpath("label_sets.toml").read_text("utf-8"))
     return {
         name: dict(zip(entry.get("numbers", range(1, 256)), entry["names"], strict=False))
@@ -79,7 +80,7 @@ def label_sets() -> dict[str, dict[int, str]]:
 
 
 def given_names(names: str | Path) -> Mapping[int, str]:
-    """Return label names by number, for a known program or from a TOML file.
+    """Return a dictionary from label number to name, for a known program or from a TOML file.
 
     Raises
     ------
@@ -119,7 +120,7 @@ def given_names(names: str | Path) -> Mapping[int, str]:
 
 
 def header_names(path: Path) -> dict[int, str]:
-    """Return label names by number from the header of an image."""
+    """Read the dictionary from label number to name in an image's header."""
     name = path.name.lower()
     if name.endswith((".nii", ".nii.gz")):
         text = first_bytes(path, _HEADER_BYTES).decode("latin-1")

@@ -55,7 +55,7 @@ class Labels:
     Attributes
     ----------
     image
-        Integers, 0 for no label, shape (nx, ny, nz).
+        Label number of each voxel, shape (nx, ny, nz). The number 0 means no label.
     names
         Dictionary from the number of each label in the volume to its name.
     overlaps
@@ -94,7 +94,7 @@ class Labels:
     def mask(self, name: str) -> Flags:
         """Return a mask of the voxels of all labels named `name`, with the shape of the image.
 
-        This method raises the errors of `number`.
+        This method raises the same errors as `number`.
         """
         one = self.number(name)
         alike = [number for number, each in self.names.items() if each == self.names[one]]
@@ -131,16 +131,16 @@ def read_labels(
     Parameters
     ----------
     path
-        Image whose values are labels (`.seg.nrrd` of 3D Slicer, `.nii.gz`), TIFF or PNG slices, a
-        DICOM segmentation or structure set, or a folder of masks. Each mask is a file with the
-        name of its label.
+        One of: an image whose values are labels (such as a `.seg.nrrd` or `.nii.gz` file), a folder
+        of TIFF or PNG slices, a DICOM segmentation or structure set, or a folder of masks. Each
+        mask is a file with the name of its label.
     names
         Name of a set from `meshes.ct.label_names.label_sets`, or a TOML file whose table
         ``[labels]`` assigns a number to each name. If None, the names in the file's header are
         used, or ``label 1`` and so on if the header has no names.
     spacing_mm
-        Distance between neighbouring voxels [mm], one number or three, for a file that does not
-        state the distance.
+        Distance between neighbouring voxels [mm], one number or one per axis. It is needed only if
+        the file does not state the distance.
     image
         CT to which the labels belong. The outlines of a structure set are drawn on the voxels of
         the CT. Oblique labels are resampled at the voxel centres of the CT.
@@ -265,9 +265,9 @@ def _overlaid(found: Masks, source: str, lattice: Image | None = None) -> Labels
 
 
 def on_grid_of(labels: Labels, image: Image) -> Labels:
-    """Convert labels to the voxels of another image.
+    """Transfer labels to the voxel grid of another image.
 
-    Labels on the same grid are returned unchanged. If the voxel centres of labels and image
+    Labels on the same grid are returned unchanged. If the voxel centres of the labels and the image
     coincide, the labels are cropped or padded. Otherwise, each voxel of the image gets the nearest
     label, and a note is added. If all labels lie outside the image, an InputError is raised.
     """

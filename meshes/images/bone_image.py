@@ -29,7 +29,7 @@ def image_volume(
     resample_mm: float | None = None,
     remark: Callable[[str], None] | None = None,
 ) -> VoxelVolume:
-    """Convert an image to bone voxels, which all belong to one layer.
+    """Convert an image to bone voxels of a single material layer.
 
     The origin of the result is the centre of the top face of the voxel block, and +z is upward. The
     result also contains the position of the voxel block in the patient frame LPS.
@@ -43,9 +43,9 @@ def image_volume(
         from the grey value.
     resample_mm
         New voxel size [mm]. For finer voxels, grey values are interpolated first. For coarser
-        voxels, fractions are averaged, so the bone volume does not change. If None, the voxel size
-        of the image is used. If the image has different voxel sizes along its axes, the smallest is
-        used.
+        voxels, the bone fractions are averaged, so the bone volume does not change. If None, the
+        voxel size of the image is used. If the image has different voxel sizes along its axes, the
+        smallest is used.
     remark
         Function that is called once for each assumption, with a sentence that describes the
         assumption.
@@ -53,7 +53,7 @@ def image_volume(
     Raises
     ------
     InputError
-        If an option is out of range, or no voxel lies above the threshold.
+        If an option is out of range, or no voxel has a value above the threshold.
     """
     limit = require_range(
         # 1e9: any finite grey value
@@ -183,7 +183,7 @@ def _averaged(values: Singles, axis: int, ratio: float) -> Singles:
 
 
 def image_triangles(image: Image, *, threshold: float) -> tuple[Array, Ints]:
-    """Return vertices [mm] and triangles around the region above a grey value.
+    """Return vertices [mm] and triangles of the surface around all values above a threshold.
 
     Vertices and triangles have the shapes (n, 3) and (m, 3).
 
@@ -208,7 +208,7 @@ def image_triangles(image: Image, *, threshold: float) -> tuple[Array, Ints]:
 
 
 def image_cuts(image: Image, *, threshold: float) -> tuple[Array, ...]:
-    """Return points [m] on the cuts where the image ends inside the region above a grey value.
+    """Return points [m] on the cuts, where boundary voxels of the image exceed a threshold.
 
     The result has one array, shape (k, 3), for each connected area of the cuts.
     """

@@ -44,7 +44,7 @@ def read_voxels(
     skip: int = 0,
     compressed: bool,
 ) -> Numbers:
-    """Read a file to its end as an array in which the first index varies fastest.
+    """Read the rest of a file as a voxel array in which the first index varies fastest.
 
     Parameters
     ----------

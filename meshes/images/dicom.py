@@ -47,10 +47,10 @@ _AIR_HU = (-1100.0, -900.0)
 
 
 def read_dicom(path: Path, *, series: int | None = None) -> StoredImage:
-    """Read the only series in a folder and its subfolders, or the series with the number `series`.
+    """Read the series with the number `series`, or the only series in a folder and its subfolders.
 
     The path may also be a DICOMDIR file or a file with many frames. Each slice has its own slope
-    and intercept. Voxels with the padding value get the lowest of the other values in their slice.
+    and intercept. Padding voxels get the lowest value of the other voxels in their slice.
 
     Raises
     ------

@@ -115,7 +115,7 @@ class Frame:
     header
         Values of the header elements in `_READ`, by element name.
     place
-        Description of the file in messages.
+        Text that identifies the frame's file in messages.
     """
 
     file: Path
@@ -177,7 +177,7 @@ class Frame:
 
     @cached_property
     def rounding_mm(self) -> float:
-        """Unit of the last decimal with which the position is written [mm]."""
+        """Unit of the last decimal place of the stored position [mm]."""
         return min(_last_decimal(each) for each in self.header["ImagePositionPatient"])
 
 
@@ -224,14 +224,15 @@ def is_dicom(file: Path) -> bool:
 
 
 def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
-    """Return the DICOM files of a path, each with a description for messages, and a list of notes.
+    """Return the DICOM files of a path with a description of each file, and a list of notes.
 
     The path is a folder, a folder's DICOMDIR, or one file. Subfolders are searched too.
 
     Raises
     ------
     InputError
-        If there are no DICOM files, or if a file with the suffix of the DICOM files is not DICOM.
+        If there are no DICOM files, or if a file that has the same suffix as the DICOM files is not
+        DICOM.
     """
     if not is_folder(path) and path.name.upper() != "DICOMDIR":
         return [(path, path.name)], []
@@ -265,7 +266,7 @@ def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
 
 
 def files_in(folder: Path) -> list[Path]:
-    """Return the files in a folder and its subfolders, sorted, except those with non-DICOM names.
+    """Return the sorted files of a folder and its subfolders whose names may denote DICOM files.
 
     Raises
     ------
@@ -334,8 +335,8 @@ def frames_of(files: Sequence[tuple[Path, str]], source: str) -> tuple[list[Fram
 def read_dataset(file: Path, place: str, further: Sequence[str] = ()) -> Any:
     """Read a file with pydicom.
 
-    The dataset contains the elements in `_READ` and in `further`, the functional groups and the
-    pixels.
+    The dataset contains the functional groups, the pixels, and the elements named in `_READ` and
+    `further`.
 
     Raises
     ------
@@ -358,7 +359,7 @@ def modality_of(dataset: Any, place: str) -> str:
 
 
 def frames_in(file: Path, dataset: Any, place: str) -> list[Frame]:
-    """Check the length of a file's pixels and return its frames."""
+    """Check the length of the pixel data in a file, and return the file's frames."""
     with reading(place):
         whole = {key: dataset.get(key) for key in _READ}
         shared = _flat(dataset.get(_SHARED))

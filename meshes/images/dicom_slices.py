@@ -136,7 +136,7 @@ def fit_together(one: Frame, other: Frame) -> bool:
 
 
 def even_row(points: Array, indices: NDArray[np.integer]) -> tuple[Array, Array]:
-    """Fit a row of evenly spaced points to `points`, shape (n, k), by least squares.
+    """Fit evenly spaced points on a line to `points`, shape (n, k), by least squares.
 
     Point i is approximated by ``start + indices[i] * step``. The function returns `start` and
     `step`. At least two indices must differ.

@@ -49,11 +49,11 @@ The voxels take 4 GB as float32, and the splines take another 4 GB.
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """Grey values or labels on a regular grid along LPS axes (+x left, +y back, +z head), in mm.
+    """Grey values or labels on a regular grid along the LPS axes (+x left, +y back, +z head).
 
-    The centre of voxel (i, j, k) is ``origin_mm + spacing_mm * (i, j, k)``, for any order and
-    direction of the axes in the file. TIFF slices have no patient frame. For such images, x, y and
-    z are the directions of columns, rows and slices, and the origin is (0, 0, 0).
+    The centre of voxel (i, j, k) is ``origin_mm + spacing_mm * (i, j, k)``. This does not depend on
+    the order and direction of the axes in the file. TIFF slices have no patient frame. For such
+    images, x, y and z are the directions of columns, rows and slices, and the origin is (0, 0, 0).
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Image:
 
 @dataclass(frozen=True, eq=False)
 class StoredImage:
-    """Image in the axes of its file.
+    """Image whose array axes are those of its file.
 
     The centre of voxel (i, j, k) is ``origin + directions @ (spacing * (i, j, k))``.
 
@@ -102,8 +102,8 @@ class StoredImage:
     values
         Grey values or labels, shape (ni, nj, nk), or (layers, ni, nj, nk) for overlapping labels.
     spacing_mm
-        Distance between neighbours along each axis of the array [mm], as stated in the header,
-        without checks.
+        Distance between neighbours along each axis of the array [mm]. The value from the header is
+        not checked.
     directions
         Direction of each axis of the array in LPS, unit vectors as columns, shape (3, 3). The
         directions need not be orthogonal.
@@ -128,8 +128,8 @@ def along_lps(
 ) -> Image:
     """Convert an image to LPS axes.
 
-    If the axes are LPS axes in any order and direction, the array is transposed and flipped without
-    interpolation. Other images are resampled, which a note reports. Grey values are interpolated by
+    If each array axis is parallel to an LPS axis, the array is transposed and flipped without
+    interpolation. Other images are resampled, and a note is added. Grey values are interpolated by
     cubic splines, and labels by nearest neighbour. Voxels outside the stored image get the lowest
     value of the image, or 0 for labels.
 
@@ -143,7 +143,7 @@ def along_lps(
         Whether the values are labels.
     lattice
         Image along LPS axes. Oblique labels are resampled on the grid of this image. The grid is
-        extended as far as the labels reach. If None, the resampled grid has the spacing of
+        extended until it contains all labels. If None, the resampled grid has the spacing of
         `stored`.
 
     Raises

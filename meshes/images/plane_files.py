@@ -36,8 +36,8 @@ def plane_files(path: Path) -> list[Path]:
     Raises
     ------
     InputError
-        If the path does not exist, a file name has another form than the rest, or a slice number is
-        missing.
+        If the path does not exist, a file name differs in form from the others, or a number is
+        missing in the sequence of slices.
     """
     if any(mark in path.name for mark in _PATTERN_MARKS) and not path.exists():
         inside = path.parent.iterdir() if path.parent.is_dir() else ()

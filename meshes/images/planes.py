@@ -81,8 +81,8 @@ def read_planes(
     """Read image planes and stack them in the order of `files`.
 
     The array axes of the result are columns, rows and slices. Values that are stored inverted
-    (MinIsWhite) are inverted again. Colours are converted to grey values, or to one number per
-    colour if the planes contain labels. Each change is reported in a note.
+    (MinIsWhite) are inverted again. Colours are converted to grey values. If the planes contain
+    labels, each colour is converted to a label number instead. Each change is reported in a note.
 
     Raises
     ------

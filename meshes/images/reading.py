@@ -56,7 +56,7 @@ _SINGLE_FILE = (b"n+1", b"n+2")
 
 
 def read_nifti(path: Path) -> StoredImage:
-    """Read a NIfTI-1 or -2 image (`.nii`, `.nii.gz`) with slope, intercept, units and position.
+    """Read a NIfTI-1 or -2 image (`.nii`, `.nii.gz`), its slope, intercept, units and position.
 
     The position is read from the header's sform if the sform's code is above 0, else from the
     qform. If both codes are 0, the array axes are assumed to be LPS axes with the origin (0, 0, 0).
@@ -209,7 +209,7 @@ def read_vtk_image(path: Path) -> StoredImage:
 
 
 def vtk_voxels(file: Path) -> Answer:
-    """Return the array of a VTK image file, and the shape and frame of the image.
+    """Return the voxel values of a VTK image file, the image's shape, and the image's frame.
 
     In the array, the first index varies fastest.
 
@@ -282,19 +282,19 @@ def read_image(
     labels: bool = False,
     series: int | None = None,
 ) -> Image:
-    """Read an image volume and convert it to LPS [mm].
+    """Read an image volume and convert it to LPS axes, in mm.
 
     Origin, directions, units, slope and intercept are read from the file. If the file does not
-    state one of these values, a note reports the assumed value. An image whose axes are LPS axes in
-    any order and direction is reordered without interpolation. Oblique images are resampled, see
+    state one of these values, a note reports the assumed value. An image whose axes are parallel to
+    the LPS axes is reordered without interpolation. Oblique images are resampled, see
     `meshes.images.frame.along_lps`.
 
     Parameters
     ----------
     path
-        Image file, folder with a DICOM series, DICOMDIR of such a folder, DICOM file with many
-        frames, folder with TIFF, PNG or BMP slices, or file pattern of such slices
-        (`slices/*.tif`). Slices are stacked along +z in the order of the numbers in their names.
+        One of: an image file; a folder with a DICOM series, or its DICOMDIR; a DICOM file with many
+        frames; a folder with TIFF, PNG or BMP slices; or a file pattern such as `slices/*.tif`.
+        Slices are stacked along +z in the order of the numbers in their names.
     spacing_mm
         Distance between neighbouring voxels [mm], one number or one number per axis of the array.
         If None, the distance stated in the file is used. TIFF, PNG and BMP slices do not state a

@@ -44,7 +44,7 @@ _BYTES = {
 def header_lines(path: Path, separator: str, last: str) -> tuple[dict[str, str], int]:
     """Read the lines of a header, each of the form `key separator value`.
 
-    Return the values by key, and the position of the first byte after the header.
+    Return a dictionary from key to value, and the position of the first byte after the header.
 
     Keys are converted to lower case.
 
@@ -187,7 +187,7 @@ that the code is not stated.
 
 
 def read_metaimage(path: Path) -> StoredImage:
-    """Read a `.mhd` or `.mha` image with three axes, one number per voxel, and one voxel file.
+    """Read a `.mhd` or `.mha` image with three axes, one number per voxel, and one data file.
 
     Raises
     ------
@@ -268,8 +268,8 @@ _BY_AXIS = ("sizes", "kinds", "space directions", "spacings", "units")
 def read_nrrd(path: Path) -> StoredImage:
     """Read a `.nrrd` or `.nhdr` image with three spatial axes and one number per voxel.
 
-    The voxels must be in one file, raw or as gzip. 3D Slicer writes an additional layer axis for
-    overlapping segments. This axis becomes the first axis of the values.
+    The voxels must be in one file, either raw or compressed with gzip. 3D Slicer writes an
+    additional layer axis for overlapping segments. This axis becomes the first axis of the values.
 
     Raises
     ------

@@ -69,14 +69,15 @@ def label_triangles(label: Image) -> Triangles | None:
     The result consists of vertices [m], shape (n, 3), and triangles, shape (m, 3).
 
     The label is smoothed with a kernel that does not shift curved surfaces. The kernel's standard
-    deviation is a third of the radius of the largest ball in the label, limited to 1 to 2 voxels.
-    The surface is a level set of the smoothed label. The level is chosen such that the surface
-    encloses the volume of the label's voxels. Voxels outside the image count as outside the label.
+    deviation is a third of the radius of the largest ball in the label, but at least 1 and at most
+    2 voxels. The surface is a level set of the smoothed label. The level is chosen such that the
+    surface encloses the volume of the label's voxels. Voxels outside the image count as outside the
+    label.
 
     Parameters
     ----------
     label
-        Image whose values are the mask of the label.
+        Image whose values are true inside the label.
 
     Returns
     -------
@@ -155,7 +156,7 @@ class LabelledOrgan:
     solid
         Image whose values are the mask of the organ and its parts.
     parts
-        Mask of the voxels of each part, by name of the part, in order of precedence.
+        Dictionary from part name to mask, in order of precedence.
     notes
         Notes on findings and assumptions, by the name of the organ or part to which they refer.
     """
@@ -181,10 +182,10 @@ class LabelledOrgan:
     def mesh(
         self, edge_mm: float | None = None, *, report: Progress = silent
     ) -> tuple[TetMesh, dict[str, str]]:
-        """Return the mesh of the organ and its parts, in the image's frame, and notes by name.
+        """Return the mesh in the image's frame, and a dictionary from organ or part name to note.
 
-        `edge_mm` is the target edge of the tetrahedra [mm]. If None, it is the organ's longest side
-        divided by `FILL_EDGES`.
+        `edge_mm` is the target edge of the tetrahedra [mm]. If None, it is the longest side of the
+        organ's bounding box divided by `FILL_EDGES`.
 
         Raises
         ------
@@ -206,7 +207,7 @@ class LabelledOrgan:
         mesh = with_volume(mesh, organ_m3, within_m=1e-3 * edge)
         off = float(mesh.volumes_m3.sum()) / organ_m3 - 1.0
         mesh, repairs = repair_tets(mesh.nodes_m, mesh.cells, mesh.part, mesh.part_names)
-        found = (*describe(mesh), *repairs, f"{off:+.2%} of volume against the voxels.")
+        found = (*describe(mesh), *repairs, f"{off:+.2%} of volume relative to the voxels.")
         return mesh, self.notes | notes | {"mesh": " ".join(found)}
 
     def _with_parts(
@@ -263,13 +264,12 @@ def organ_mesh(
     parts
         Names of labels in the organ or at its surface, such as a tumour or a vessel.
     report
-        Function that is called with the name and the finished fraction (0 to 1) of the current
-        task.
+        Function that is called with the current task's name and finished fraction (0 to 1).
 
     Returns
     -------
-    Mesh in the frame of the image, LPS [m], and notes. The values of `organ` and `parts` are the
-    names of the mesh's parts. The key of a note is the name of the organ or part, or ``mesh``.
+    Mesh in the frame of the image, LPS [m], and notes. The parts of the mesh are named as in
+    `organ` and `parts`. The key of a note is the name of the organ or part, or ``mesh``.
 
     Raises
     ------
@@ -350,9 +350,8 @@ def _ends(solid: Image) -> list[str]:
                 )
     if cut_mm2:
         notes.append(
-            f"The image cuts it off: {cut_mm2 / 100.0:.3g} cm2 of its surface lie in the "
-            "edge of the image, beyond "
-            "which nothing is known of it."
+            f"The image cuts it off: {cut_mm2 / 100.0:.3g} cm2 of its surface lie at the edge of "
+            "the image. The image does not show the organ beyond this edge."
         )
     return notes
 
@@ -389,14 +388,15 @@ def _pieces(name: str, mask: Flags, solid: Image, organ: str, notes: dict[str, s
         left = 1e-3 * solid.voxel_mm3 * int(sizes[small].sum())
         pieces_left = counted(int(small.sum()), "piece")
         remarks.append(
-            f"{pieces_left} of fewer than {_FEWEST_VOXELS} voxels, {left:.2g} ml, left to {organ}."
+            f"{pieces_left} of fewer than {_FEWEST_VOXELS} voxels, {left:.2g} ml, counted as "
+            f"{organ}."
         )
     shell = binary_dilation(kept) & ~kept
     outside = int(np.count_nonzero(shell & ~solid.values)) / max(int(np.count_nonzero(shell)), 1)
     if outside:
         remarks.append(
-            f"{outside:.0%} of its surface is that of {organ}: crop its label if it should "
-            "end before."
+            f"{outside:.0%} of its surface belongs to the surface of {organ}: crop its label if "
+            "it should end inside."
         )
     if remarks:
         notes[name] = " ".join(remarks)

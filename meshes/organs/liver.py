@@ -89,7 +89,7 @@ class Nodule:
 
 
 def liver_shape() -> Shape:
-    """Return the signed distance of the liver in the site frame [m]."""
+    """Return the liver's shape (signed distance [m]) in the site frame."""
     drawn = _drawn()
     # Height of the dome, by bisection in an interval of 0.2 m. 60 halvings reduce the interval to
     # 2e-19 m.
@@ -106,10 +106,10 @@ def liver_shape() -> Shape:
 
 
 def liver(*, spacing_m: float = 8.4e-3, nodule: Nodule | None = None) -> TetMesh:
-    """Build a liver from tetrahedra of even size, in the site frame.
+    """Build a liver in the site frame from tetrahedra of similar size.
 
-    A nodule becomes the part ``nodule`` of the mesh. The faces of tetrahedra follow the surface of
-    the nodule.
+    A nodule becomes the part ``nodule`` of the mesh. The surface of the nodule consists of faces of
+    tetrahedra.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def onto_liver(points: np.ndarray) -> np.ndarray:
 
 
 def liver_region(mesh: TetMesh, name: str) -> Nodes:
-    """Return the surface nodes of a side of the liver: ``below`` or ``back``.
+    """Return the surface nodes on one side (``below`` or ``back``) of the liver.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def slab(
     spacing_m: float = 4.2e-3,
     nodule: Nodule | None = None,
 ) -> TetMesh:
-    """Build a block of tissue, with the origin at the middle of its top face and z up.
+    """Build a block of tissue with the origin at the centre of its top face and +z upward.
 
     The layers of cells become thicker from the top down.
 
@@ -177,8 +177,8 @@ def slab(
         Sides of the cells along the top face [m]. The thickness of the first layer is 0.6 times
         this spacing, and each further layer is 1.2 times as thick as the layer above.
     nodule
-        Stiff ball, which becomes the part ``nodule`` of the mesh. The faces of tetrahedra follow
-        the nodule's surface.
+        Stiff ball, which becomes the part ``nodule`` of the mesh. The nodule's surface consists of
+        faces of tetrahedra.
 
     Raises
     ------

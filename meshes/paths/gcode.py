@@ -70,7 +70,7 @@ _OFFSETS = {"X": "I", "Y": "J", "Z": "K"}
 
 
 class Program:
-    """Interpreter of a G-code program, with the points so far and the state of the controller.
+    """Interpreter of a G-code program that stores the points and the state of the controller.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class Program:
     points_mm
         Points [mm] in the order of the program, in the frame of the program.
     feeds_mm_s
-        Speed of the move to each point [mm/s], NaN for rapid moves.
+        Speed [mm/s] of the move to each point, or NaN for a rapid move.
     """
 
     def __init__(self, file: Path) -> None:
@@ -316,7 +316,7 @@ class Program:
 
 
 def read_gcode(file: Path) -> tuple[Array, Array, tuple[str, ...]]:
-    """Read G-code, in the frame of the file.
+    """Read the points of a G-code file in the frame of the file.
 
     Returns
     -------

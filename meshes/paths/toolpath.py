@@ -74,7 +74,8 @@ def kept_corners(corners: ArrayLike, within: float) -> Ints:
     corners
         Corners of the polyline, shape (n, 3).
     within
-        Largest distance of a removed corner from the polyline, in the unit of the corners.
+        Largest allowed distance of a removed corner from the simplified polyline, in the unit of
+        the corners.
     """
     given = np.asarray(corners, dtype=np.float64)
     kept = {0, len(given) - 1}
@@ -127,8 +128,8 @@ class Toolpath:
     points_mm
         Points [mm, LPS], shape (n, 3).
     feeds_mm_s
-        Speed from the previous point to each point [mm/s], shape (n,), NaN for rapid moves; None if
-        the file does not state speeds. The first speed is not used.
+        Speed [mm/s] of the move to each point, shape (n,). The speed of a rapid move is NaN. The
+        attribute is None if the file does not state speeds. The first speed is not used.
     axes
         Unit vectors from the tip towards the shaft at each point, LPS, shape (n, 3); None if the
         file does not state axes.
@@ -144,7 +145,7 @@ class Toolpath:
 
 @dataclass(frozen=True, eq=False)
 class PathDepth:
-    """Depth along a path.
+    """Depth of the points along a path below the bone's surface.
 
     Attributes
     ----------
@@ -200,8 +201,8 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
     Raises
     ------
     InputError
-        If the file cannot be read, has fewer than two points or numbers that are not finite, a feed
-        is not positive, or an axis is zero.
+        If the file cannot be read, has fewer than two points, or contains a number that is not
+        finite, a feed that is not positive, or a zero axis.
     """
     file = Path(path)
     if coordinates not in TO_LPS:
@@ -309,14 +310,14 @@ The times of a replay table must increase, and a motion of zero length takes no 
 
 @dataclass(frozen=True, eq=False)
 class ReplayTable:
-    """Poses at increasing times in the site's frame.
+    """Poses in the site's frame at increasing times.
 
     Attributes
     ----------
     times_s
-        Times [s] from 0, shape (n,).
+        Times [s], shape (n,). The first time is 0.
     tips_mm
-        Tip of the tool [mm], shape (n, 3).
+        Positions of the tool's tip [mm], shape (n, 3).
     quaternions
         Orientations (x, y, z, w), shape (n, 4); (0, 0, 0, 1) points the tool along -z.
     """
@@ -353,7 +354,7 @@ def to_replay(
     feed_mm_s
         Speed [mm/s] in the parts of the path for which the file states no speed.
     clearance_mm
-        Distance [mm] of the start of the motion from the first point, along the tool's axis.
+        Distance [mm] along the tool's axis between the start of the motion and the first point.
 
     Raises
     ------

@@ -49,28 +49,29 @@ class Anatomy:
     name
         Name for reports.
     shape
-        Outer surface as signed distance [m].
+        Signed distance from the outer surface [m].
     layer_names
         Name of each layer index of `classify`.
     classify
-        Function that returns layer and density at points, see `Classify`.
+        Function that returns the layer and the density at given points (see `Classify`).
     notes
         Assumptions and results for reports, as a dictionary from name to value.
     sample
-        Function that returns bone fraction and depth of a whole grid. It is given for shapes whose
-        signed distance is too expensive to evaluate at each voxel, such as triangle meshes. If
-        None, `shape` is evaluated.
+        Function that returns the bone fraction and the depth of all voxels of a grid. It is given
+        for shapes, such as triangle meshes, whose signed distance is too expensive to evaluate at
+        each voxel. If None, `shape` is evaluated.
     placement
-        Placement of the site frame in the frame of the anatomy's file; None without a file.
+        Placement of the site frame in the file's frame; None if the anatomy was not read from a
+        file.
     caps_m
-        Points [m] where the edge of the scan cuts off the bone: one array, shape (k, 3), for each
-        cut.
+        Points [m] on the cuts, where the scan ends inside the bone: one array, shape (k, 3), for
+        each cut.
     thin_layers
         Whether the anatomy has thin layers, such as a root canal, that may lie between the corners
         of a block of voxels. If true, `classify` is called for every voxel.
     structures
-        Signed distance [m] from each structure that a tool may have to avoid, by name of the
-        structure.
+        Dictionary from structure name to the signed distance [m] from the structure, for structures
+        that a tool may have to avoid.
     """
 
     name: str

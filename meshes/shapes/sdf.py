@@ -40,8 +40,8 @@ class Shape:
     Attributes
     ----------
     distance
-        Function from points [m], shape (n, 3), float32 or float64, to signed distances [m], shape
-        (n,), same dtype, negative inside.
+        Function that takes points [m], shape (n, 3), and returns signed distances [m], shape (n,),
+        with the same dtype (float32 or float64). Distances are negative inside.
     lower_m, upper_m
         Corners [m] of an axis-aligned box that contains the solid; infinite if the solid is
         unbounded.
@@ -73,7 +73,7 @@ class Shape:
 def smooth_minimum(a: Distances, b: Distances, blend_m: float) -> Distances:
     """Return the minimum of two distances [m], with a smooth transition between them.
 
-    The transition is smooth where the distances differ by less than `blend_m`.
+    The transition covers the region where the distances differ by less than `blend_m`.
 
     The blend is a quadratic polynomial (I. Quilez, "Smooth minimum"). The gradient of the result is
     a convex combination of the two gradients, so the result is 1-Lipschitz.
@@ -86,7 +86,7 @@ def smooth_minimum(a: Distances, b: Distances, blend_m: float) -> Distances:
 
 
 def smooth_maximum(a: Distances, b: Distances, blend_m: float) -> Distances:
-    """Return the maximum of two distances [m] with a smooth transition, see `smooth_minimum`."""
+    """Return the maximum of two distances [m], with a smooth transition (see `smooth_minimum`)."""
     return -smooth_minimum(-a, -b, blend_m)
 
 
@@ -188,9 +188,10 @@ def capsule(radius_m: float, start_m: Vector, end_m: Vector) -> Shape:
 def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
     """Build an ellipsoid with half axes `radii_m` [m], shape (3,).
 
-    The surface is exact, but the distance is only a lower bound of the true distance.
+    The distance is exactly zero on the surface. Elsewhere, its magnitude is only a lower bound of
+    the true distance.
 
-    For a point p relative to the centre and the half axes r, the signed distance is computed as
+    For the half axes r and a point p relative to the centre, the signed distance is computed as
     (|p/r| - 1)·min(r). This value is 1-Lipschitz and zero on the surface. Along a half axis of
     length a, the value is min(r)/a times the true distance.
     """
@@ -205,7 +206,7 @@ def ellipsoid(radii_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
 
 
 def half_space(normal: Vector, point_m: Vector = (0.0, 0.0, 0.0)) -> Shape:
-    """Build the half space behind the plane through `point_m` [m] with outward `normal`."""
+    """Build the half space bounded by the plane through `point_m` [m] with outward `normal`."""
     unit = require_direction("normal", normal)
     point = require_vector("point_m", point_m)
     offset = float(unit @ point)
@@ -276,7 +277,7 @@ STEP_M = 1e-6
 
 
 def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, Ints, float]:
-    """Mesh the part of a shape's surface that may be nearest to a point in a box.
+    """Mesh the part of a shape's surface that is nearest to the points of a box.
 
     The triangles are computed on a lattice. The lattice is refined until the triangles are within
     0.004 mm of the surface, or the lattice has a million points.
@@ -291,7 +292,7 @@ def shape_triangles(shape: Shape, low_m: Array, high_m: Array) -> tuple[Array, I
     vertices_m, faces, slack_m
         Vertices [m], shape (n, 3), triangles with outward normals, shape (m, 3), and the largest
         depth of the triangles below the surface [m]. For a shape with sharp convex edges, this
-        depth is reached at the edges.
+        depth occurs at the edges.
 
     Raises
     ------

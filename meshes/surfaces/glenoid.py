@@ -61,7 +61,7 @@ class _Pear:
     upper_y: float
 
     @property
-    def sine(self) -> float:
+    def tangent_sine(self) -> float:
         """Sine of the angle between the tangent and the y axis."""
         return (self.lower_radius - self.upper_radius) / (self.upper_y - self.lower_y)
 
@@ -70,10 +70,10 @@ class _Pear:
 
         The formula is valid for y above the widest point of the lower circle.
         """
-        cosine = math.sqrt(1.0 - self.sine**2)
+        cosine = math.sqrt(1.0 - self.tangent_sine**2)
         # The common tangent of the two circles, up to the point where it touches the upper circle.
-        if y <= self.upper_y + self.upper_radius * self.sine:
-            return (self.lower_radius - (y - self.lower_y) * self.sine) / cosine
+        if y <= self.upper_y + self.upper_radius * self.tangent_sine:
+            return (self.lower_radius - (y - self.lower_y) * self.tangent_sine) / cosine
         return math.sqrt(max(self.upper_radius**2 - (y - self.upper_y) ** 2, 0.0))
 
     def distance(self, x: Floats, y: Floats) -> Floats:
@@ -81,7 +81,7 @@ class _Pear:
 
         The outline is the convex hull of two circles.
         """
-        sine = self.sine
+        sine = self.tangent_sine
         cosine = math.sqrt(1.0 - sine**2)
         across = np.abs(x)
         up = y - self.lower_y
@@ -147,12 +147,12 @@ class GlenoidSizes(Ranged):
         Mean thickness of the subchondral plate [mm], and relative amplitude of the variation of
         this thickness. The thickness is limited to 1.2 to 2.9 mm.
     vault_depth_mm, vault_taper_deg
-        Depth of the vault below the face's centre [mm], and angle [degrees] by which the walls of
-        the vault are inclined inward with depth.
+        Depth of the vault below the face's centre [mm], and taper angle of the vault's walls
+        [degrees]. The vault narrows with depth.
     cortical_wall_mm
         Thickness of the cortical wall around the vault [mm].
     rim_blend_mm
-        Width over which face and wall are blended into a rounded rim [mm].
+        Width [mm] of the rounded rim between the face and the wall.
     cortical_density_kg_m3, subchondral_density_kg_m3
         Apparent densities [kg/m3].
     trabecular_density_kg_m3, trabecular_density_below_plate_kg_m3
@@ -179,8 +179,8 @@ class GlenoidSizes(Ranged):
 def glenoid(**sizes: float) -> Anatomy:
     """Build a glenoid in the site frame.
 
-    The origin is on the bone at the centre of the face. x is anterior, y superior, and z outward
-    (lateral).
+    The origin is the centre of the articular face, on the surface of the bone. x is anterior, y
+    superior, and z outward (lateral).
 
     Parameters
     ----------
@@ -190,8 +190,8 @@ def glenoid(**sizes: float) -> Anatomy:
     Raises
     ------
     InputError
-        If a size is not finite or out of range, or if the vault or the face is impossible with
-        these sizes.
+        If a size is not finite or out of range, or if the vault or the face cannot have these
+        sizes.
     """
     given = GlenoidSizes(**sizes)
     width = 1e-3 * given.width_mm
@@ -206,8 +206,8 @@ def glenoid(**sizes: float) -> Anatomy:
     notes = {
         "face": f"{given.width_mm:g} x {given.height_mm:g} mm, concave, radius "
         f"{given.curvature_radius_mm:g} mm",
-        "subchondral plate": f"{given.subchondral_thickness_mm:g} mm on average, swing "
-        f"{100 * given.subchondral_variation:g} %",
+        "subchondral plate": f"{given.subchondral_thickness_mm:g} mm on average, with a "
+        f"variation of {100 * given.subchondral_variation:g} %",
         "vault": (
             f"{given.vault_depth_mm:g} mm deep, then cut off: the neck and the blade of the "
             "scapula are not modelled"
@@ -385,7 +385,7 @@ def sampled_anatomy(
     classify: Classify,
     notes: Mapping[str, str],
 ) -> Anatomy:
-    """Build the anatomy of a surface from a function that samples the surface's triangles.
+    """Build an anatomy from a surface and a sampler of the surface's triangles.
 
     The anatomy is in the frame of `site`. The notes of the anatomy describe the surface, its unit,
     its repairs and the site. The argument `notes` replaces or extends these notes.

@@ -67,9 +67,9 @@ class _Head:
     """
 
     name: str
-    none: float
-    certain: float
-    most: float
+    zero_score_coverage: float
+    full_score_coverage: float
+    largest_coverage: float
     neck: bool
 
 
@@ -89,11 +89,12 @@ def find_site(kind: str, surface: Surface) -> FoundSite:
     Parameters
     ----------
     kind
-        ``glenoid``: centre of the shoulder socket of a scapula, z outward, y superior.
-        ``femoral-head``, ``humeral-head``: point at which the axis of the neck or of the articular
-        cap leaves the bone. ``vertebra:left``, ``vertebra:right``: posterior point at which the
-        axis of the left or right pedicle leaves the bone, z outward along the axis, y up.
-        ``vertebra``: the same point of the wider pedicle.
+        ``glenoid``: centre of the shoulder socket of a scapula. z points outward, and y is
+        superior. ``femoral-head``: point at which the axis of the neck leaves the bone.
+        ``humeral-head``: point at which the axis of the articular cap leaves the bone.
+        ``vertebra:left``, ``vertebra:right``: posterior point at which the axis of the left or
+        right pedicle leaves the bone. z points outward along this axis, and y points up.
+        ``vertebra``: the corresponding point of the wider pedicle.
     surface
         Surface of a single bone.
 
@@ -126,8 +127,9 @@ def find_glenoid(
     surface
         Scapula.
     centre_mm
-        Centre [mm] in the frame of the file, after scaling to mm. The centre is moved along the
-        normal onto the surface. If None, the glenoid is searched.
+        Centre [mm] in the frame of the file, after scaling to mm. The centre is moved onto the
+        surface along the normal of the articular plane. If None, the function searches for the
+        glenoid.
     along
         Vector in the direction of the site's x axis, with any length. The vector is projected onto
         the articular face. If None, the axes are chosen such that the site's y axis points in the
@@ -290,14 +292,14 @@ def _face(
         middle = face.mean(axis=0)
         axes = np.linalg.svd(face - middle, full_matrices=False)[2]
         normal = axes[2] * np.sign(axes[2] @ normal)
-        along = (face - middle) @ axes.T
-        box = 0.5 * (along.max(axis=0) + along.min(axis=0))
+        offsets = (face - middle) @ axes.T
+        box = 0.5 * (offsets.max(axis=0) + offsets.min(axis=0))
         centre = middle + box[:2] @ axes[:2]
     # The middle of the box may lie above a hollow face. The mean height of nearby samples moves it
     # to the surface.
-    nearest = np.argsort(np.linalg.norm(along[:, :2] - box[:2], axis=1))[:8]
-    centre = centre + normal * float(along[nearest, 2].mean())
-    sides = np.ptp(along, axis=0)[:2]
+    nearest = np.argsort(np.linalg.norm(offsets[:, :2] - box[:2], axis=1))[:8]
+    centre = centre + normal * float(offsets[nearest, 2].mean())
+    sides = np.ptp(offsets, axis=0)[:2]
     return centre, np.stack([axes[0], axes[1], normal]), sides, _curvature(face - centre, normal)
 
 
@@ -314,11 +316,13 @@ class _Cap:
     axis: Array
     coverage: float
     misfit: float
-    compactness: float
+    roundness: float
 
     def score(self, kind: _Head) -> float:
-        covered = float(np.clip((self.coverage - kind.none) / (kind.certain - kind.none), 0.0, 1.0))
-        return covered * self.compactness**2 * (1.0 - self.misfit / (2.0 * _OFF * self.radius))
+        start = kind.zero_score_coverage
+        end = kind.full_score_coverage
+        covered = float(np.clip((self.coverage - start) / (end - start), 0.0, 1.0))
+        return covered * self.roundness**2 * (1.0 - self.misfit / (2.0 * _OFF * self.radius))
 
 
 def _search_head(surface: Surface, kind: _Head) -> FoundSite:
@@ -329,12 +333,12 @@ def _search_head(surface: Surface, kind: _Head) -> FoundSite:
     scores = [cap.score(kind) for cap in caps]
     # Real heads have scores of 0.62. A score of 0.2 corresponds to a coverage slightly above that
     # of other parts.
-    if not caps or scores[0] < 0.2 or max(cap.coverage for cap in caps) > kind.most:
+    if not caps or scores[0] < 0.2 or max(cap.coverage for cap in caps) > kind.largest_coverage:
         covered = max((cap.coverage for cap in caps), default=0.0)
         got = f"a part that covers at most {covered:.0%} of a sphere"
         what = (
-            f"{kind.name}, a rounded part of 18 to 32 mm radius that covers {kind.none:.0%} to "
-            f"{kind.most:.0%} of a sphere"
+            f"{kind.name}, a rounded part of 18 to 32 mm radius that covers "
+            f"{kind.zero_score_coverage:.0%} to {kind.largest_coverage:.0%} of a sphere"
         )
         raise refusal(surface, what, got)
     best = caps[0]
@@ -439,9 +443,9 @@ def _fitted(points: Array, normals: Array, centre: Array, radius: float) -> _Cap
     share = len(covered) / _DIRECTIONS
     # The mean direction of a single round cap has the length 1 - share. `max` and 1e-12 are for
     # caps that cover no direction or all directions.
-    compactness = min(length / max(len(covered) * (1.0 - share), 1.0), 1.0)
+    roundness = min(length / max(len(covered) * (1.0 - share), 1.0), 1.0)
     misfit = float(np.sqrt(np.mean((distance - radius) ** 2)))
-    return _Cap(centre, radius, total / max(length, 1e-12), share, misfit, compactness)
+    return _Cap(centre, radius, total / max(length, 1e-12), share, misfit, roundness)
 
 
 def _neck_axis(samples: SurfaceSamples, cap: _Cap) -> Array:

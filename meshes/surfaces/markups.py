@@ -40,7 +40,7 @@ class Markup:
         ``Fiducial`` (points), ``Line``, ``Curve``, ``ClosedCurve``, ``Plane`` or another word from
         the file.
     points_mm
-        Control points [mm, LPS], shape (n, 3). For a plane, the only point is its origin.
+        Control points [mm, LPS], shape (n, 3). A plane has one point, its origin.
     labels
         Names of the control points.
     normal
@@ -114,8 +114,8 @@ def read_site(path: str | Path) -> tuple[Array, Array | None]:
 def read_curve(path: str | Path) -> Array:
     """Read the control points [mm, LPS], shape (n, 3), of the only curve in a file.
 
-    If the file has no curve but one point list, the points of this list are returned in their
-    order.
+    If the file has one point list and no curve, the points of the list are returned in the order of
+    the list.
 
     3D Slicer draws a smooth curve through the points, but this library joins the points by straight
     lines. If the points lie far apart, resample the curve in 3D Slicer. For a closed curve, the

@@ -61,7 +61,8 @@ def _lattice_keys(vertices: Array, tolerance: float) -> Ints:
 def is_manifold(faces: Ints) -> bool:
     """Return whether every directed edge and its reverse occur exactly once.
 
-    The surface is then closed and consistently oriented, with two triangles at every edge.
+    If the result is True, the surface is closed and consistently oriented, and every edge belongs
+    to two triangles.
     """
     if len(faces) == 0:
         return False
@@ -77,7 +78,7 @@ def is_manifold(faces: Ints) -> bool:
 
 
 def drop_debris(vertices: Array, faces: Ints, least_area: float) -> tuple[Triangles, list[float]]:
-    """Remove connected bodies whose area is small compared with that of the largest body.
+    """Remove each connected body whose area is small compared with the largest body's area.
 
     Returns
     -------
@@ -95,16 +96,17 @@ def orient(vertices: Array, faces: Ints) -> tuple[Ints, int, int, float]:
     """Orient all triangles of each body outward.
 
     The function uses a graph with two nodes per triangle, one for the given and one for the
-    reversed winding. If two triangles share an edge, the graph connects those nodes of the two
-    triangles whose windings agree. Each connected component of the graph is a consistent
-    orientation of a set of triangles. If the total volume is negative, the whole surface is
-    reversed. Then, each body whose volume is still negative is reversed. A body within the bounding
-    box of another body is not reversed, because it may be a cavity.
+    reversed winding. If two triangles share an edge, the graph connects each node of one triangle
+    to the node of the other triangle with the matching winding. Each connected component of the
+    graph is a consistent orientation of a set of triangles. If the total volume is negative, the
+    whole surface is reversed. Then, each body whose volume is still negative is reversed. A body
+    within the bounding box of another body is not reversed, because it may be a cavity.
 
     Returns
     -------
-    Triangles, shape (m, 3); number of triangles that were reversed to agree with their neighbours;
-    number of bodies that were inside out; enclosed volume, in cubed units of the vertices.
+    Four values: the triangles, shape (m, 3); the number of triangles reversed to agree with their
+    neighbours; the number of bodies that were inside out; and the enclosed volume in the cubed unit
+    of the vertices.
     """
     faces = faces.copy()
     turned = np.zeros(len(faces), dtype=bool) if is_manifold(faces) else _disagreeing(faces)
@@ -134,7 +136,7 @@ def orient(vertices: Array, faces: Ints) -> tuple[Ints, int, int, float]:
 
 
 def edge_counts(faces: Ints) -> tuple[int, int]:
-    """Count the edges with one triangle (open) and with more than two triangles (non-manifold)."""
+    """Count the open edges (one triangle) and the non-manifold edges (more than two triangles)."""
     if is_manifold(faces):
         return 0, 0
     _, uses = np.unique(_edge_keys(directed_edges(faces)), return_counts=True)
@@ -213,8 +215,9 @@ def triangle_areas(vertices: Array, faces: Ints) -> Array:
 class Holes:
     """Result of `fill_holes`.
 
-    The attributes are the numbers of small and large holes that were closed, the points of each cap
-    (a face that closes a hole and is reported), and the area of the largest hole.
+    The attributes are the number of closed small holes, the number of closed large holes, the
+    points of each cap, and the area of the largest hole. A cap is a reported face that closes a
+    hole.
     """
 
     filled: int
@@ -230,12 +233,11 @@ def fill_holes(
     *,
     least_cap: float = np.inf,
 ) -> tuple[Triangles, Holes]:
-    """Close each loop of unmatched edges by a fan of triangles around the mean point of the loop.
+    """Close each loop of open edges by a fan of triangles around the mean point of the loop.
 
     A hole is large if its area is more than `largest` times the area of the surface. The points of
     some fans, called caps, are returned. The fan of a large hole is a cap. The fan of a small hole
-    is a cap if the fan's area is more than `least_cap` and the hole is larger than one missing
-    triangle.
+    is a cap if the fan's area is more than `least_cap` and the hole has more than three edges.
     """
     if is_manifold(faces):
         return (vertices, faces), Holes(0, 0, (), 0.0)
@@ -267,10 +269,10 @@ def fill_holes(
 
 
 def open_loops(faces: Ints) -> list[Ints]:
-    """Return loops of the directed edges whose reversed edge is missing.
+    """Return loops of the directed edges whose reversed edges are missing in the triangles.
 
-    A loop contains each vertex only once. The edges of a loop have their directions in the adjacent
-    triangles. If the reversed edge is missing k times, the edge is used in k loops.
+    A loop contains each vertex only once. Each edge of a loop has the direction that it has in the
+    adjacent triangle. If the reversed edge is missing k times, the edge is used in k loops.
     """
     edges = directed_edges(faces)
     keys, where = np.unique(_edge_keys(edges), return_inverse=True)
@@ -309,7 +311,7 @@ def close_seams(
     first_part
         Number of vertices of the first part. All other vertices belong to the second part.
     within
-        Largest mean distance between two loops that are connected by a ribbon.
+        Largest allowed mean distance between two loops that are connected by a ribbon.
 
     Returns
     -------

@@ -31,7 +31,7 @@ _LEAST_ACROSS = 0.02  # sine of the smallest angle between x and the normal, one
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """Place on a surface where a tool works.
+    """Location on a surface at which a tool works.
 
     Attributes
     ----------
@@ -39,9 +39,9 @@ class Site:
         Point of the surface at the centre of the working face [m], shape (3,), in the surface's
         frame.
     rotation
-        Axes of the site as columns in the surface's frame, shape (3, 3). The axes are right-handed,
-        and z points outward. For a glenoid that was found by search, y is superior, and x is
-        anterior on a right scapula and posterior on a left scapula.
+        Matrix, shape (3, 3), whose columns are the axes of the site in the surface's frame. The
+        axes are right-handed, and z points outward. For a glenoid that was found by search, y
+        points superiorly. x points anteriorly on a right scapula and posteriorly on a left scapula.
     confidence
         Sentence that describes how the site was found and how reliable the result is.
     """
@@ -57,7 +57,7 @@ class Site:
     def within(self, outer: Placement) -> Site:
         """Convert this site to the frame of a file.
 
-        The site is given in a frame whose placement in the file is `outer`.
+        `outer` is the placement of this site's frame in the file.
         """
         centre = 1e-3 * outer.origin_mm + outer.rotation @ self.centre_m
         return Site(centre, outer.rotation @ self.rotation, self.confidence)
@@ -100,7 +100,7 @@ class SurfaceSamples:
     points, normals
         Positions [m] and outward unit normals, shape (n, 3).
     area
-        Surface area that each point represents [m2].
+        Surface area [m2] that each point represents.
     """
 
     points: Array
@@ -109,10 +109,10 @@ class SurfaceSamples:
 
 
 def sample_surface(vertices: Array, faces: Ints, count: int) -> SurfaceSamples:
-    """Distribute `count` points evenly by area.
+    """Distribute `count` points over a surface, with the same area per point.
 
-    The points do not change between calls, because they follow a Kronecker sequence within the
-    triangles.
+    The points are reproducible, because their positions in the triangles follow a Kronecker
+    sequence.
     """
     total = np.cumsum(triangle_areas(vertices, faces))
     chosen = np.searchsorted(total, (np.arange(count) + 0.5) / count * total[-1])
@@ -145,7 +145,7 @@ def refusal(surface: Surface, what: str, got: str) -> InputError:
 
 
 def across(axis: Array) -> tuple[Array, Array]:
-    """Return two orthogonal unit vectors that are perpendicular to an axis."""
+    """Return two unit vectors that are perpendicular to each other and to an axis."""
     u = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     u /= np.linalg.norm(u)
     return u, np.cross(axis, u)
@@ -169,7 +169,7 @@ def place_site(
     normal: Sequence[float] | None = None,
     along: Sequence[float] | None = None,
 ) -> Site:
-    """Return the site at a given point of any bone.
+    """Return the site at a given point of a bone of any kind.
 
     Parameters
     ----------
@@ -179,8 +179,8 @@ def place_site(
         Point [mm] in the frame of the file, after scaling to mm. The point is moved along the
         normal onto the surface.
     normal
-        Outward vector at this point, with any length. If None, the mean normal of the surface is
-        used, within 3 mm of the nearest surface point.
+        Outward vector at this point, with any length. If None, it is the mean normal of the surface
+        within 3 mm of the nearest surface point.
     along
         Vector in the direction of the site's x axis, with any length. The vector is projected onto
         the plane perpendicular to the normal. If None, y points away from the middle of the bone.
@@ -212,7 +212,7 @@ def site_along(
     along: Sequence[float] | None = None,
     long_axis: Array | None = None,
 ) -> Site:
-    """Return the site where the line through a point [m] along a unit normal leaves the bone.
+    """Return the site at the point where the line along a normal leaves the bone.
 
     Parameters
     ----------
@@ -223,8 +223,8 @@ def site_along(
     note
         Description of the method that found the site.
     along
-        Direction of the site's x axis. If None, y points away from the middle of the bone, and is
-        parallel to `long_axis` if that is given.
+        Direction of the site's x axis. If None, y points away from the middle of the bone and, if
+        `long_axis` is given, is parallel to `long_axis`.
     long_axis
         Direction of the site's y axis, with arbitrary sign.
 
@@ -243,14 +243,14 @@ def site_along(
 
 
 def axes_along(normal: Array, along: Sequence[float]) -> Array:
-    """Return three orthogonal axes as columns, shape (3, 3), with z along a normal.
+    """Return a matrix, shape (3, 3), whose columns are orthogonal axes with z along a normal.
 
     z is the unit vector `normal`, and x is as close to the direction `along` as possible.
 
     Raises
     ------
     InputError
-        If `along` is zero or within a degree of the normal.
+        If `along` is zero, or its angle to the normal is less than one degree.
     """
     direction = require_direction("anatomy.along", along, "give a direction across the normal")
     projected = direction - (direction @ normal) * normal
@@ -308,9 +308,10 @@ def _axes(
 
 
 def exits(surface: Surface, point: Array, rotation: Array) -> Array:
-    """Return the heights [m], shape (k,), at which a line through a point leaves the bone.
+    """Return the heights [m], shape (k,), at which a line leaves the bone.
 
-    The direction of the line is the z axis of `rotation`. Heights are measured from the point.
+    The line passes through `point` along the z axis of `rotation`. Heights are measured along the
+    line, starting at the point.
     """
     on_line = np.array([1e-9])  # off the axis, because edges of symmetric meshes lie on it
     found = column_crossings(
@@ -320,7 +321,7 @@ def exits(surface: Surface, point: Array, rotation: Array) -> Array:
 
 
 def corner_near(surface: Surface, point: Floats) -> Array:
-    """Return the vertex of a surface that is nearest to a point [m], shape (3,)."""
+    """Return the surface vertex [m], shape (3,), that is nearest to a point [m]."""
     distance = np.linalg.norm(surface.vertices_m - point, axis=1)
     return np.asarray(surface.vertices_m[np.argmin(distance)])
 

@@ -118,8 +118,8 @@ class Surface:
         Points [m], one array of shape (k, 3) for each face that closes a hole of more than 10 mm2.
         The scan of the bone may end at such a hole.
     scanned
-        Vertices [m] and triangles without the faces that close holes. The axes of a site are
-        computed from these triangles.
+        Vertices [m] and triangles of the scanned surface. Faces that close holes are not included.
+        The axes of a site are computed from these triangles.
     """
 
     vertices_m: Array
@@ -135,7 +135,7 @@ def read_surface(
     scale_mm: float | None = None,
     cut_off: bool = False,
 ) -> Surface:
-    """Read a surface from STL, OBJ, PLY, VTK or VTP and make it enclose a solid.
+    """Read a surface from an STL, OBJ, PLY, VTK or VTP file, and repair it to enclose a solid.
 
     Parameters
     ----------
@@ -151,8 +151,8 @@ def read_surface(
     Raises
     ------
     InputError
-        If the file is missing, empty, not readable or has an unknown format. Also raised if the
-        surface cannot be repaired such that it encloses a solid with a size of 1 mm to 1 m.
+        If the file is missing, empty, not readable or has an unknown format. The error is also
+        raised if the surface cannot be repaired to enclose a solid with a size of 1 mm to 1 m.
     """
     file = Path(path)
     notes: list[str] = []

@@ -75,7 +75,7 @@ def read_vtk(file: Path) -> Any:
 
 
 def check_vtk(folder: Path, arrays_by_file: dict[str, list[str]]) -> Answer:
-    """Read files of a folder, and raise an error for damaged or incomplete files.
+    """Read the listed files of a folder, and raise an error if one is damaged or incomplete.
 
     A file is incomplete if one of its required arrays is missing.
 

@@ -74,7 +74,7 @@ class TetFile:
     sentences
         Sentences that describe the unit, findings in the mesh, and changes of the mesh.
     surface
-        Surface from the file, if it was filled with tetrahedra; None if the file contains
+        Surface from the file if this surface was filled with tetrahedra; None if the file contains
         tetrahedra.
     """
 
@@ -94,10 +94,10 @@ def read_tets(
     """Read a tetrahedral mesh, or read a closed surface and fill it with tetrahedra.
 
     Gmsh text files of versions 1 and 2 (``.msh``) are read by `meshes.tets.msh`, other Gmsh files
-    by meshio, and all other formats by pyvista. In a file with tetrahedra, other cells are ignored.
-    The part of each cell is read from a cell array with a usual name, such as ``gmsh:physical``,
-    ``part`` or ``region``. The field ``part_names``, if present, contains the names of the part
-    numbers 0, 1, ... in the array ``part``.
+    by meshio, and all other formats by pyvista. In a file with tetrahedra, cells that are not
+    tetrahedra are ignored. The part of each cell is read from a cell array with a usual name, such
+    as ``gmsh:physical``, ``part`` or ``region``. The field ``part_names``, if present, contains the
+    names of the part numbers 0, 1, ... in the array ``part``.
 
     Parameters
     ----------
@@ -105,19 +105,19 @@ def read_tets(
         File. Its suffix determines the format.
     unit_mm
         Millimetres per unit of the file. If None, the unit is millimetres or metres, whichever
-        gives a longest side of 20 to 450 mm.
+        gives a bounding box whose longest side is 20 to 450 mm.
     edge_m
-        Edge of the tetrahedra that fill a surface [m]. If None, an edge that gives about 30,000
-        tetrahedra is chosen.
+        Edge length [m] of the tetrahedra that fill a surface. If None, an edge that gives about
+        30,000 tetrahedra is chosen.
     report
-        Function that is called with the name and the finished fraction (0 to 1) of the current
-        task.
+        Function that is called with the current task's name and finished fraction (0 to 1).
 
     Raises
     ------
     InputError
         If the file is missing, empty or not readable, or does not contain a solid. If `unit_mm` is
-        None, also raised if the solid does not have the size of an organ in millimetres or metres.
+        None, the error is also raised for a solid that has the size of an organ neither in
+        millimetres nor in metres.
     """
     file = Path(path)
     stored = _read_stored(file)
@@ -225,15 +225,16 @@ class GivenTets:
 def given_tets(
     mesh: object, *, scale_mm: float | None = None, part_names: Mapping[int, str] | None = None
 ) -> GivenTets:
-    """Return tetrahedra from any supported mesh object or file.
+    """Return the tetrahedra of a mesh, which may be any supported object or file.
 
     Parameters
     ----------
     mesh
-        One of: a `TetMesh`; a pyvista UnstructuredGrid; a meshio mesh or an object with the same
-        ``points`` and ``cells``; a pair of arrays, points (n, 3) and cells (m, 4); a file (.vtu
-        .vtk .msh .mesh). The part of each cell is read from a cell array of numbers or names. The
-        array has the name ``part`` or a name that meshing programs use.
+        One of: a `TetMesh`; a pyvista UnstructuredGrid; a meshio mesh, or an object with attributes
+        ``points`` and ``cells`` of the same form; a pair of arrays, points (n, 3) and cells (m, 4);
+        a file (.vtu, .vtk, .msh, .mesh). The part of each cell is read from a cell array of numbers
+        or names. The array is named ``part`` or has a name that meshing programs use, such as
+        ``gmsh:physical``.
     scale_mm
         Millimetres per unit of the mesh. If None, the mesh is in millimetres, and its size is
         checked.
@@ -260,7 +261,7 @@ def given_tets(
 
 
 def require_millimetres(name: str, points: Array, scale_mm: float | None) -> float:
-    """Return the millimetres per unit of `points`, shape (n, 3).
+    """Return the number of millimetres per unit of the coordinates in `points`.
 
     The result is the given value, or 1 if the size of the points is plausible in millimetres.
 
@@ -312,10 +313,10 @@ def _stored(mesh: object) -> StoredMesh:
 
 
 def vtk_mesh(file: Path) -> Answer:
-    """Read a mesh with VTK, in the process of `meshes.base.isolated_parser`.
+    """Read a mesh with VTK, in the process that `meshes.base.isolated_parser` starts.
 
-    The result has the arrays of a `StoredMesh`, and a dictionary with the part names (as pairs) and
-    the notes of the `StoredMesh`.
+    The result consists of the arrays of a `StoredMesh` and a dictionary with its part names (as
+    pairs) and its notes.
     """
     import pyvista
 

@@ -58,7 +58,7 @@ class StoredMesh:
 
     @property
     def used(self) -> Array:
-        """Points of the tetrahedra, or of the triangles if there are no tetrahedra, shape (k, 3).
+        """Points, shape (k, 3), of the tetrahedra, or of the triangles if there are no tetrahedra.
 
         A missing point, or a point that is not finite, raises an `InputError`.
         """
@@ -67,7 +67,7 @@ class StoredMesh:
         return self.points[np.unique(cells)]
 
     def repaired(self, unit_mm: float) -> tuple[TetMesh, tuple[str, ...]]:
-        """Return the tetrahedra in metres, repaired if necessary, and sentences on the repairs."""
+        """Return the tetrahedra in metres after any repairs, and sentences on the repairs."""
         values, part = np.unique(self.part, return_inverse=True)
         if len(values) > MOST_PARTS:
             raise InputError(
@@ -123,7 +123,7 @@ def broken_sections(file: Path) -> InputError:
 
 
 def is_old_text(file: Path) -> bool:
-    """Return False if a Gmsh file is binary or has another version than 1 and 2."""
+    """Return whether a file may be a Gmsh text file of version 1 or 2."""
     with file.open("rb") as stored:
         first = stored.readline(_LONGEST_NAME).split()
         second = stored.readline(_LONGEST_NAME).split()
@@ -209,7 +209,7 @@ def _names(lines: list[str], file: Path) -> dict[int, str]:
 
 
 def part_name(text: str, known: Mapping[int, str], what: str) -> str:
-    """Return a name for a part that differs from all names in `known`."""
+    """Return a part name that differs from all names in `known`."""
     shown = visible(text).replace("\n", " ").strip()
     if not shown or len(shown) > _LONGEST_NAME or shown in known.values() or shown == "none":
         raise InputError(

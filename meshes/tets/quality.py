@@ -102,7 +102,7 @@ def repair_tets(
     part: NDArray[np.integer] | None = None,
     part_names: tuple[str, ...] = ("body",),
 ) -> tuple[TetMesh, tuple[str, ...]]:
-    """Repair a mesh by the rules in the table of the module docstring.
+    """Repair a mesh as described in the table of the module docstring.
 
     Parameters
     ----------
@@ -310,7 +310,8 @@ def smooth(
 ) -> tuple[Array, int]:
     """Improve cells whose mean ratio is below `enough` by moving nodes of these cells.
 
-    For each node, a pattern search maximises the smallest mean ratio of the cells around the node.
+    For each node, a pattern search maximises the lowest quality (mean ratio) of the cells at the
+    node.
 
     A move is accepted only if the worst cell around the node improves.
 

@@ -102,7 +102,7 @@ def nodes_of_part(mesh: TetMesh, name: str) -> Nodes:
 
 
 def faces_of(mesh: TetMesh, nodes: Nodes) -> Ints:
-    """Return the surface triangles whose three corners are all in `nodes`, shape (k, 3)."""
+    """Return the surface triangles, shape (k, 3), whose corners are all in `nodes`."""
     return mesh.surface[np.isin(mesh.surface, nodes).all(axis=1)]
 
 
@@ -116,8 +116,8 @@ def place_on_surface(mesh: TetMesh, point_m: Array, around_m: float) -> tuple[Ar
     """Return the surface point nearest to a point [m], and the outward normal there, shapes (3,).
 
     The normal is a weighted mean over the triangles whose centroids lie within `around_m` [m] of
-    the surface point. Large and near triangles have larger weights. The normal therefore varies
-    smoothly between facets. If no centroid lies within `around_m`, the normal of the nearest
+    the surface point. Large and near triangles have larger weights. The normal therefore changes
+    smoothly from facet to facet. If no centroid lies within `around_m`, the normal of the nearest
     triangle is returned.
     """
     nearest = nearest_on_triangles(mesh.nodes_m, mesh.surface, point_m[None])[0]

@@ -22,7 +22,7 @@ def grid(x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> TetMesh:
     """Build a mesh of cuboids, each divided into six tetrahedra.
 
     The cuboids lie between planes at the positions `x_m`, `y_m` and `z_m` [m]. Each of the three
-    arrays is ascending and has one entry more than there are cuboids along its axis.
+    arrays is ascending. For k cuboids along an axis, the array has k + 1 entries.
 
     Raises
     ------
@@ -64,8 +64,8 @@ def graded(start_m: float, end_m: float, first_m: float, growth: float) -> Array
     Raises
     ------
     InputError
-        If the first step is not positive or is longer than the distance from start to end, or the
-        growth is below 1.
+        If the first step is not positive, the first step is longer than the distance from start to
+        end, or the growth is below 1.
     """
     distance = abs(end_m - start_m)
     if not 0.0 < first_m <= distance:

@@ -49,7 +49,7 @@ def bisected(
     *,
     onto: Move | None = None,
 ) -> TetMesh:
-    """Refine a mesh until no edge is longer than the length required at the middle of the edge.
+    """Refine a mesh until no edge is longer than the length allowed at the edge's middle.
 
     Nodes of the given mesh keep their numbers.
 
@@ -58,10 +58,11 @@ def bisected(
     mesh
         Mesh to refine.
     size_m
-        Function from points [m], shape (n, 3), to the required longest edge [m], shape (n,).
+        Function that takes points [m], shape (n, 3), and returns the largest allowed edge length
+        there [m], shape (n,).
     onto
-        Function that moves points onto the true surface that the mesh represents. All surface nodes
-        are moved by this function. If None, the surface does not change shape.
+        Function that moves points onto the exact surface that the mesh approximates. All surface
+        nodes are moved by this function. If None, the surface does not change shape.
 
     Raises
     ------
@@ -198,7 +199,8 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
     Raises
     ------
     InputError
-        If the shape is unbounded, or the spacing gives no tetrahedra or too many.
+        If the shape is unbounded, or if the spacing leads to no tetrahedra or to too many
+        tetrahedra.
     """
     longest = max(np.subtract(shape.upper_m, shape.lower_m))
     # Twenty cubes along the body. An unbounded body raises an error below.
@@ -242,10 +244,10 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
 
 
 def with_part(mesh: TetMesh, shape: Shape, name: str) -> TetMesh:
-    """Make a new part of the mesh from the inside of a shape.
+    """Make the cells inside a shape a new part of the mesh.
 
-    Only cells of the mesh's first part are changed. The new part is bounded by faces of cells on
-    the shape's surface.
+    Only cells of the mesh's first part are changed. Cells are cut at the shape's surface, so that
+    cell faces on this surface bound the new part.
 
     Raises
     ------
@@ -271,7 +273,7 @@ def cut_by(nodes: Points, cells: Cells, distance: Distance) -> tuple[Points, Cel
 
     Returns
     -------
-    Nodes, shape (n, 3); cells, shape (m, 4); flags of the cells on the negative side, shape (m,);
+    Nodes, shape (n, 3); cells, shape (m, 4); whether each cell is on the negative side, shape (m,);
     index of the original cell from which each cell was cut, shape (m,).
     """
     value = np.asarray(distance(nodes), dtype=np.float64)
@@ -450,7 +452,7 @@ def with_inclusion(
     volume_m3: float,
     onto: Move | None = None,
 ) -> tuple[TetMesh, str]:
-    """Make a new part of the mesh from the region inside a closed surface.
+    """Make the region inside a closed surface a new part of the mesh.
 
     Return the mesh, and a note on the volume of the part.
 
@@ -467,8 +469,8 @@ def with_inclusion(
     volume_m3
         Volume of the part inside the mesh [m3].
     onto
-        Function that moves points onto the true surface that the mesh represents. The surface nodes
-        of the mesh are moved by this function. If None, they are not moved.
+        Function that moves points onto the exact surface that the mesh approximates. The surface
+        nodes of the mesh are moved by this function. If None, they are not moved.
 
     Raises
     ------
@@ -501,5 +503,5 @@ def with_inclusion(
             share = off
             best = score
         laid_m += missing_m3 / area_m2
-    size = f"{1e6 * volume_m3:.3g} ml, in the mesh within {share:.1%}"
-    return made, f"{size} by edges of at most {1e3 * edge_m:.2g} mm"
+    size = f"{1e6 * volume_m3:.3g} ml (volume of the mesh: within {share:.1%})"
+    return made, f"{size}, edges of at most {1e3 * edge_m:.2g} mm"

@@ -34,12 +34,12 @@ def signed_volumes(nodes: Nodes, cells: Cells) -> Array:
 
 
 def mean_ratio(nodes: Nodes, cells: Cells) -> Array:
-    """Compute the mean ratio quality of each tetrahedron, shape (m,).
+    """Compute the mean ratio, a quality measure, of each tetrahedron, shape (m,).
 
     The mean ratio is 12 (3 V)^(2/3), divided by the sum of squared edges (Liu and Joe, 1994).
 
-    The ratio is 1 for a regular tetrahedron, 0.84 for the corner of a cube, 0 for a flat
-    tetrahedron, and negative for an inverted tetrahedron.
+    The ratio is 1 for a regular tetrahedron, 0.84 for a tetrahedron cut from the corner of a cube,
+    0 for a flat tetrahedron, and negative for an inverted tetrahedron.
     """
     # 1e-300 avoids a division by zero for four equal corners.
     volume = signed_volumes(nodes, cells)
@@ -65,7 +65,7 @@ def cell_faces(cells: Cells) -> tuple[Ints, Ints, Ints]:
 
     Returns
     -------
-    Triangles, shape (4 m, 3); index of each distinct face, shape (4 m,); number of cells to which
+    Triangles, shape (4 m, 3); index of each triangle's face, shape (4 m,); number of cells to which
     this face belongs, shape (4 m,). A face has the same index in both cells, although its two
     orientations differ.
     """
@@ -77,13 +77,13 @@ def cell_faces(cells: Cells) -> tuple[Ints, Ints, Ints]:
 
 
 def outer_faces(cells: Cells) -> Ints:
-    """Return the faces that only one cell has, with outward normals, shape (f, 3)."""
+    """Return the faces, shape (f, 3), that belong to only one cell, with outward normals."""
     triangles, _, shared = cell_faces(cells)
     return triangles[shared == 1]
 
 
 def pieces(cells: Cells) -> Ints:
-    """Return the index of the connected piece that each cell belongs to, shape (m,).
+    """Return the index, shape (m,), of the connected piece to which each cell belongs.
 
     The cells of a piece are connected through common faces.
     """
@@ -114,7 +114,7 @@ def _edge_squares(nodes: Nodes, cells: Cells) -> Array:
 
 
 def place(points_m: Array) -> str:
-    """Format the mean position of points [m], shape (n, 3), for a message, in mm."""
+    """Format the mean of points [m], shape (n, 3), as a position in mm for a message."""
     return in_brackets(1e3 * points_m.mean(axis=0), ".3g")
 
 
@@ -215,7 +215,7 @@ class TetMesh:
 def grid_of(mesh: TetMesh) -> "pyvista.UnstructuredGrid":
     """Convert a mesh to a pyvista grid [mm] with the cell array ``part``.
 
-    The values of ``part`` are indices of the field ``part_names``.
+    The values of ``part`` are indices into the field ``part_names``.
     """
     import pyvista
     from vtkmodules.vtkCommonCore import vtkStringArray
@@ -235,7 +235,7 @@ def grid_of(mesh: TetMesh) -> "pyvista.UnstructuredGrid":
 
 
 def write_organ(mesh: TetMesh, path: str | Path) -> None:
-    """Write a mesh with its parts and part names to a VTU file, in mm.
+    """Write a mesh in mm, with its parts and part names, to a VTU file.
 
     The file can be used for the scene key ``anatomy.file``. `read_tets` can read the file.
 

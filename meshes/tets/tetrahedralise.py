@@ -53,7 +53,7 @@ _LEAST_KEPT = 0.2
 def tetrahedralise(
     surface: Surface, *, edge_m: float | None = None, report: Progress = silent
 ) -> tuple[TetMesh, tuple[str, ...]]:
-    """Fill a closed surface with tetrahedra, or return the mesh of this surface from the cache.
+    """Fill a closed surface with tetrahedra, or read this mesh from the cache if it is there.
 
     Parameters
     ----------
@@ -62,8 +62,7 @@ def tetrahedralise(
     edge_m
         Target edge [m]. If None, an edge that gives about 30,000 tetrahedra is chosen.
     report
-        Function that is called with the name and the finished fraction (0 to 1) of the current
-        task.
+        Function that is called with the current task's name and finished fraction (0 to 1).
 
     Returns
     -------
@@ -84,7 +83,7 @@ def tetrahedralise(
     if pinched:
         sentences.append(
             f"The surface has {pinched} edges of more than two triangles, which the mesher "
-            "parts or thickens."
+            "separates or thickens."
         )
     envelope = min(_ENVELOPE * edge, _FARTHEST_M)
 
@@ -108,8 +107,8 @@ def tetrahedralise(
     off = float(mesh.volumes_m3.sum()) / volume - 1.0
     if abs(off) > _VOLUME_OFF:
         sentences.append(
-            f"The mesh encloses {100.0 * off:+.1f} % of volume against the surface: use "
-            "smaller edges."
+            f"The volume of the mesh differs by {100.0 * off:+.1f} % from the volume of the "
+            "surface: use smaller edges."
         )
     return mesh, (*sentences, *describe(mesh), *repairs)
 
@@ -144,8 +143,8 @@ def with_volume(mesh: TetMesh, volume_m3: float, *, within_m: float) -> TetMesh:
     Parameters
     ----------
     mesh
-        Mesh of a body. Because the facets of the mesh are flat, the mesh has a slightly different
-        volume than the body.
+        Mesh of a body. The volumes of mesh and body differ slightly, because the facets of the mesh
+        are flat.
     volume_m3
         Required volume of the mesh [m3].
     within_m

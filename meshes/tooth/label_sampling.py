@@ -80,8 +80,8 @@ class PlacedLabels:
     first_m
         Centre [m], shape (3,), of voxel (0, 0, 0) in the file's frame.
     origin, rotation
-        Origin of the site relative to `first_m` [m], and axes of the site as columns in the file's
-        frame.
+        Origin of the site relative to `first_m` [m], and matrix whose columns are the axes of the
+        site in the file's frame.
     """
 
     layer: Bytes
@@ -91,7 +91,7 @@ class PlacedLabels:
     rotation: Array
 
     def on_plane(self, x: float, y: Array, z: Array) -> Bytes:
-        """Return the layer at the points (x, y[j], z[k]) of the site frame, shape (ny, nz)."""
+        """Return the layer indices, shape (ny, nz), at the site-frame points (x, y[j], z[k])."""
         number = np.zeros((len(y), len(z)), dtype=np.int32)
         for axis, count in enumerate(self.layer.shape):
             scale = self.rotation[axis] / self.spacing[axis]
@@ -111,7 +111,7 @@ class PlacedLabels:
         return Placement(1e3 * (self.first_m + self.origin), self.rotation)
 
     def around(self, corners: Array, reach: int) -> tuple[Bytes, Array, Array]:
-        """Return the labels in and around a box [m] of the site frame, and a map to array indices.
+        """Return the labels in and near a box [m] of the site frame, and the map to array indices.
 
         The labels extend `reach` voxels beyond the box.
 
@@ -132,7 +132,7 @@ class PlacedLabels:
 
     @cached_property
     def corners(self) -> Array:
-        """Corners [m] of the tooth's bounding box in the site frame, lowest first, shape (2, 3)."""
+        """Smallest and largest coordinates [m] of the tooth in the site frame, shape (2, 3)."""
         # About 160 planes per axis are enough, because the box is extended by the distance of the
         # planes.
         steps = [max(n // 160, 1) for n in self.layer.shape]
@@ -153,16 +153,16 @@ def resampled(
 
     The grid lines lie at integer multiples of the voxel edge.
 
-    Fractions and layers are computed from sub-samples. The distance between neighbouring
-    sub-samples is at most the voxel size of the image, unless a voxel would need more than
-    `most_samples` sub-samples along an axis. The bone fraction is the share of the sub-samples that
-    lie in any layer. The layer of a voxel is the most frequent layer of the voxel's sub-samples. If
-    several layers are equally frequent, the layer that comes first in `PRIORITY` is used.
+    Fractions and layers are computed from sub-samples. Along each axis, a voxel has enough
+    sub-samples for a distance of at most one image voxel between them, but no more than
+    `most_samples`. The bone fraction is the share of the sub-samples that lie in any layer. A voxel
+    gets the most frequent layer of its sub-samples. If several layers are equally frequent, the
+    layer that comes first in `PRIORITY` is used.
 
     Raises
     ------
     InputError
-        If the tooth is so thin that it lies between all sub-samples.
+        If the tooth is so thin that it contains no sub-sample.
     """
     from scipy.ndimage import find_objects
 
@@ -233,13 +233,15 @@ def _parts_by_layer(placed: PlacedLabels, grid: Grid, parts: int, layers: Sequen
 
 @dataclass(frozen=True, eq=False)
 class LabelShares:
-    """Share (smoothed and interpolated mask) of each layer at any point of a box.
+    """Share of each layer at any point of a box.
+
+    The share of a layer is its smoothed and interpolated mask.
 
     Attributes
     ----------
     layers
         Indices of the layers in the box, uint8. If two layers have equal shares at a point, the
-        first of them is used.
+        point belongs to the layer that is listed first.
     shares
         One array of shares for each layer, float32, shape (nx, ny, nz).
     solid
@@ -248,7 +250,7 @@ class LabelShares:
         Vector and matrix that convert a point of the site frame [m] to an index [voxel]: ``start +
         turn @ point``.
     deviation_m
-        Standard deviation of the Gaussian [m].
+        Standard deviation [m] of the Gaussian kernel that smooths the masks.
     voxel_m
         Smallest side of the labels' voxels [m].
     """
@@ -289,14 +291,19 @@ class LabelShares:
         )
 
     def sample(self, grid: Grid) -> tuple[Singles, Singles]:
-        """Compute fraction and depth on a grid, see `meshes.shapes.anatomy.GridSampler`.
+        """Compute the solid fraction and the depth of each voxel of a grid.
+
+        See `meshes.shapes.anatomy.GridSampler`.
 
         The returned depth is zero, because `classify` does not use the depth.
         """
         return self.fraction(grid), np.zeros(grid.shape, dtype=np.float32)
 
     def classify(self, points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
-        """Return layer and density [kg/m3] at points, see `meshes.shapes.anatomy.Classify`."""
+        """Return the layer and the density [kg/m3] at given points.
+
+        See `meshes.shapes.anatomy.Classify`.
+        """
         layer = self.layer(points)
         return layer, _DENSITY_KG_M3[layer].astype(np.float32)
 
@@ -314,13 +321,13 @@ class LabelShares:
     def distance(self, points: Floats) -> Array:
         """Compute the signed distance [m] of points [m], shape (n, 3), from the tooth's surface.
 
-        At points farther from the surface than `deviation_m`, the standard deviation of the
-        smoothing, the magnitude of the result is only a lower bound of the distance.
+        At points whose distance from the surface exceeds `deviation_m` (standard deviation of the
+        smoothing), the magnitude of the result is only a lower bound of the distance.
         """
         return -self.deviation_m * depth_of_share(self._solid_at(points))
 
     def fraction(self, grid: Grid) -> Singles:
-        """Compute the fraction of each voxel that lies inside the surface.
+        """Compute the fraction of each voxel's volume that lies inside the surface.
 
         A voxel is divided into cubes that are at most as large as a voxel of the label image. In
         each cube, the surface is treated as a plane.

@@ -53,7 +53,9 @@ _MOST_VOXELS = 4e8
 
 @dataclass(frozen=True, eq=False)
 class LabelledTooth:
-    """Tooth from a label image with its site. The tooth can be converted to voxels of any size.
+    """Tooth that was read from a label image, with the tooth's site.
+
+    The tooth can be converted to voxels of any size.
 
     Attributes
     ----------
@@ -74,7 +76,7 @@ class LabelledTooth:
 
     @cached_property
     def cavity(self) -> PulpCavity | None:
-        """Pulp cavity of the whole tooth, searched in voxels of 0.1 mm; None without a cavity."""
+        """Pulp cavity of the tooth, found in voxels of 0.1 mm; None if there is no cavity."""
         return PulpCavity.of(resampled(self.placed, _CAVITY_M, most_samples=_CAVITY_SAMPLES))
 
     def at_lesion(self) -> LabelledTooth:
@@ -111,11 +113,11 @@ class LabelledTooth:
         Parameters
         ----------
         resample_mm
-            New voxel size [mm]. If None, the voxel size of the image is used, but at least 0.1 mm.
+            New voxel size [mm]. If None, the size is the larger of the image's voxel size and 0.1
+            mm.
         region_m
-            Corners [m] of the region with the smallest and the largest coordinates, in the site
-            frame. If None, the whole tooth is converted. A voxel's content does not depend on the
-            region.
+            Smallest and largest coordinates [m] of the region in the site frame. If None, the whole
+            tooth is converted. A voxel has the same content in every region that contains it.
         remark
             Function that is called once for each assumption, finding or removed piece, with a
             sentence that describes it.
@@ -197,7 +199,7 @@ class LabelledTooth:
             for plane, values in enumerate(labels):
                 at = np.argwhere(values == EMPTY)
                 index = np.column_stack([np.full(len(at), plane), at])
-                values[tuple(at[self.cavity.holds(back @ (index - start).T)].T)] = PULP
+                values[tuple(at[self.cavity.contains(back @ (index - start).T)].T)] = PULP
         preference = [TOOTH_LAYERS.index(name) for name in PRIORITY]
         shares = LabelShares.of(
             labels, preference, voxel_m=self.placed.spacing, start=start, turn=turn
@@ -227,7 +229,8 @@ def labelled_tooth(image: Image, *, labels: Mapping[int, str] = CARIES_LABELS) -
     Raises
     ------
     InputError
-        If labels are unknown, enamel or dentin is missing, or the size is implausible for a tooth.
+        If a label is unknown, if enamel or dentin is missing, or if the size is not plausible for a
+        tooth.
     """
     require_known(labels.values(), "labels")
     layer, first, islands = _layers(image, labels)
@@ -255,7 +258,9 @@ def labelled_tooth(image: Image, *, labels: Mapping[int, str] = CARIES_LABELS) -
         held = "at the bone" if "bone" in volumes_mm3 else "at its lower third"
         sentences.append(f"No label for the ligament. To compute stress, the tooth is held {held}.")
     if "caries" in volumes_mm3:
-        sentences.append("The lesion is taken as half softened throughout: labels do not grade it.")
+        sentences.append(
+            "The whole lesion is assumed half softened, because labels have no grades."
+        )
     return LabelledTooth(placed, "pulp" in volumes_mm3, float(spacing_mm.min()), tuple(sentences))
 
 

@@ -103,13 +103,14 @@ def measure_contact(solids: Mapping[str, Triangles]) -> tuple[Lattice, dict[str,
     Parameters
     ----------
     solids
-        Vertices [m] and triangles by layer name, in order of priority. The overlap of two layers
-        and the gap between two layers are assigned to the layer that comes first.
+        Dictionary from layer name to vertices [m] and triangles, in order of priority. The overlap
+        of two layers and the gap between two layers are assigned to the layer that comes first.
 
     Returns
     -------
     Lattice, and notes on overlaps, gaps and voids. The value of a lattice point in a gap is 1 plus
-    the index of the layer to which the gap is assigned. Other points have the value 0.
+    the index of the layer to which the gap is assigned. Lattice points outside gaps have the value
+    0.
     """
     from scipy.ndimage import binary_fill_holes
 
@@ -219,8 +220,8 @@ def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangl
     Parameters
     ----------
     points_m, solids
-        Points [m], shape (n, 3), on the surface of each layer, and the surface of each layer:
-        vertices [m] and triangles.
+        Dictionaries from layer name to points [m], shape (n, 3), on the layer's surface, and from
+        layer name to this surface (vertices [m] and triangles).
     """
     from scipy.spatial import cKDTree
 
@@ -246,8 +247,8 @@ def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangl
 def require_pulp_within(pulp_m: Array, dentin: Triangles, dentin_samples_m: Array) -> None:
     """Raise an error if a pulp is not in the dentin.
 
-    At least 60 % of the pulp's surface must lie in the dentin, or at most 0.2 mm from the surface
-    of the dentin.
+    At least 60 % of the points of the pulp's surface must lie in the dentin or within 0.2 mm of its
+    surface.
 
     Parameters
     ----------

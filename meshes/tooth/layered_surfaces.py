@@ -75,19 +75,20 @@ _DENSITY = np.array([LAYER_DENSITY_KG_M3[name] for name in TOOTH_LAYERS], dtype=
 
 @dataclass(frozen=True, eq=False)
 class LayeredSolid:
-    """Surfaces of a tooth's layers in the site frame, with gaps between layers and bone socket.
+    """Surfaces of a tooth's layers, gaps between layers, and bone socket, in the site frame.
 
     Attributes
     ----------
     solids
-        Vertices [m] and triangles by layer index. The first layer has the highest priority.
+        Dictionary from layer index to vertices [m] and triangles. The first layer has the highest
+        priority.
     union
         Combined surface of all layers. It crosses itself where layers overlap.
     samples, sample_layer
         Sample points of all surfaces, and layer index of each point.
     gap
-        Lattice whose values are 1 plus the index of the layer to which a gap is assigned, and 0
-        outside gaps.
+        Lattice that describes the gaps between layers. In a gap, the value is 1 plus the index of
+        the layer to which the gap is assigned. Outside gaps, the value is 0.
     socket
         Lattice with the distance from the bone socket [m], negative inside. Without a socket, the
         lattice is one distant point.
@@ -111,7 +112,7 @@ class LayeredSolid:
         return away.astype(points.dtype)
 
     def sample(self, grid: Grid) -> tuple[Singles, Singles]:
-        """Compute fraction and depth of the voxels of a grid.
+        """Compute the solid fraction and the depth of each voxel of a grid.
 
         See `meshes.shapes.anatomy.GridSampler`.
         """
@@ -130,12 +131,14 @@ class LayeredSolid:
         return fraction, depth
 
     def classify(self, points: Floats, depth: Floats) -> tuple[Bytes, Floats]:
-        """Return layer and density [kg/m3] at points, see `meshes.shapes.anatomy.Classify`.
+        """Return the layer and the density [kg/m3] at given points.
 
-        A point in several layers belongs to the layer with the highest priority. A point outside
-        all layers belongs to the layer to which its gap is assigned. A point outside layers and
-        gaps belongs to the bone if it lies in the socket or is nearer to the socket than to all
-        layers. Otherwise, it belongs to the nearest layer.
+        See `meshes.shapes.anatomy.Classify`.
+
+        A point in several layers belongs to the layer with the highest priority. A point in a gap
+        belongs to the layer to which the gap is assigned. A point outside layers and gaps belongs
+        to the bone if it lies in the socket or is nearer to the socket than to all layers.
+        Otherwise, it belongs to the nearest layer.
         """
         layer = np.full(len(points), len(TOOTH_LAYERS), dtype=np.uint8)
         left = np.arange(len(points))
@@ -200,15 +203,15 @@ def layered_surfaces(
     socket_mm: float = 0.0,
     at_lesion: bool = False,
 ) -> Anatomy:
-    """Read a tooth from surface files, one closed surface per layer, with a common frame and unit.
+    """Read a tooth from surface files with a common frame and unit, one closed surface per layer.
 
     Parameters
     ----------
     paths_by_layer
         Dictionary from layer name to file. Enamel and dentin are required.
     scale_mm
-        Millimetres per unit of the files. If None, the unit is guessed from the size of the dentin,
-        and used for all files.
+        Millimetres per unit of the files. If None, the unit of all files is guessed from the size
+        of the dentin.
     socket_mm, at_lesion
         See `layered_anatomy`.
 
@@ -257,10 +260,11 @@ def layered_anatomy(
     The long axis of the tooth passes through the middle of the enamel. The origin is the point
     where this axis leaves the enamel, or the dentin if the axis does not cross enamel. A thin bur
     that moves down this axis first touches the tooth at the origin. z points from the roots to the
-    crown. x points in the direction in which the roots are wider. A voxel that contains parts of
-    several layers is full, and belongs to the layer at the voxel's centre. On average, the volume
-    of each layer is therefore correct. An overlap of two layers, or a gap between two layers, is
-    assigned to the layer that comes first in `meshes.tooth.layers.PRIORITY`.
+    crown. x points in the direction in which the roots have the largest extent. A voxel that
+    contains parts of several layers is completely filled and belongs to the layer at the voxel's
+    centre. On average, the volume of each layer is therefore correct. An overlap of two layers, or
+    a gap between two layers, is assigned to the layer that comes first in
+    `meshes.tooth.layers.PRIORITY`.
 
     Parameters
     ----------
@@ -273,14 +277,14 @@ def layered_anatomy(
     at_lesion
         Whether the site's origin lies above the lesion, see `meshes.tooth.layers.lesion_site`.
     at
-        Site in the frame of the surfaces. If None, the site is searched.
+        Site in the frame of the surfaces. If None, the function searches for the site.
 
     Raises
     ------
     InputError
-        If a layer is unknown, enamel or dentin is missing, or the size is implausible for a tooth.
-        Also raised if layers do not touch, the pulp lies outside the dentin, or `socket_mm` is
-        given without a ligament or with a bone surface.
+        If a layer is unknown, if enamel or dentin is missing, or if the size is not plausible for a
+        tooth. The error is also raised if layers do not touch or the pulp lies outside the dentin.
+        A positive `socket_mm` requires a ligament and no bone surface.
     """
     require_known(surfaces, "surfaces")
     # 10 mm is more than the thickness of bone around a root.
@@ -411,5 +415,5 @@ def _notes(surfaces: Mapping[str, Surface], note: str, socket_mm: float) -> dict
         held = "at the bone" if "bone" in surfaces else "at its lower third"
         notes["ligament"] = f"none given. To compute stress, the tooth is held {held}"
     if socket_mm > 0.0:
-        notes["bone"] = f"{socket_mm:g} mm around the ligament, added"
+        notes["bone"] = f"added by the program, {socket_mm:g} mm around the ligament"
     return notes

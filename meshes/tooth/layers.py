@@ -71,8 +71,8 @@ roots and to a canine with its root.
 def caries_density(softness: Floats) -> Floats:
     """Compute the density [kg/m3] of carious dentin from its softness.
 
-    The density is a linear function of the softness, which is 0 for sound and 1 for fully softened
-    dentin.
+    The density is a linear function of the softness. The softness is 0 for sound dentin and 1 for
+    fully softened dentin.
     """
     return _SOUND_KG_M3 - (_SOUND_KG_M3 - _INFECTED_KG_M3) * softness
 
@@ -126,8 +126,8 @@ def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: floa
         Name of the user's argument that determines the size of the tooth, and the given value as
         text.
     per_unit
-        Longest side [mm] divided by the user's value. This is the number of voxels along the side,
-        or the length of the side in units of the file.
+        Longest side of the tooth [mm] divided by the user's value. This is the number of voxels
+        along the side, or the length of the side in units of the file.
     """
     if _SMALLEST_MM <= size_mm <= LARGEST_MM:
         return
@@ -175,8 +175,8 @@ class ToothAxes:
     ----------
     rotation
         Axes of the site as columns, shape (3, 3), in the frame of the points. The axes are
-        right-handed. z points from the roots to the crown. x is the widest direction of the lower
-        half, with unknown sign (mesiodistal if there are two roots).
+        right-handed. z points from the roots to the crown. x is the direction in which the lower
+        half is widest, with arbitrary sign. If there are two roots, this direction is mesiodistal.
     middle_m
         Centre of the enamel [m], shape (3,). The site's origin lies on the line through this point
         along z.
@@ -190,7 +190,7 @@ class ToothAxes:
 
 
 def tooth_axes(enamel_m: Array, body_m: Array) -> ToothAxes:
-    """Find the orientation of a tooth from points on its enamel and on its other layers.
+    """Find the orientation of a tooth from points of its enamel and points of its other layers.
 
     The points must be distributed evenly.
 
@@ -218,11 +218,11 @@ def tooth_axes(enamel_m: Array, body_m: Array) -> ToothAxes:
     line = rise / height
     whole = np.concatenate([enamel_m, body_m])
     principal = np.linalg.eigh(np.cov(whole.T))[1]
-    along = principal.T @ line
-    chosen = int(np.argmax(np.abs(along)))
-    leaning = math.degrees(math.acos(min(abs(float(along[chosen])), 1.0)))
-    if abs(along[chosen]) > _MOST_LEANING:
-        up = principal[:, chosen] * np.sign(along[chosen])
+    cosines = principal.T @ line
+    chosen = int(np.argmax(np.abs(cosines)))
+    leaning = math.degrees(math.acos(min(abs(float(cosines[chosen])), 1.0)))
+    if abs(cosines[chosen]) > _MOST_LEANING:
+        up = principal[:, chosen] * np.sign(cosines[chosen])
         note = (
             f"principal axis, {leaning:.0f} degrees from the line between the middles of dentin "
             "and enamel"
@@ -255,17 +255,17 @@ def _widest(points: Array, up: Array) -> Array:
 def lesion_site(tooth: VoxelVolume) -> Site:
     """Find the site above the centre of a tooth's largest lesion.
 
-    The outward normal is the normal of the smoothed outer surface at the point nearest to the
-    centre of the lesion. The origin is the point where the line through the centre of the lesion
-    along the normal leaves the tooth. If the angle between the normal and the tooth's axis is
-    larger than 45 degrees, y points to the crown. Otherwise, x points approximately along the x
-    axis of the tooth's frame.
+    The outward normal is taken from the smoothed outer surface at the point nearest to the centre
+    of the lesion. The origin is the point at which a line from the centre of the lesion along the
+    normal leaves the tooth. If the angle between the normal and the tooth's axis is larger than 45
+    degrees, y points to the crown. Otherwise, x points approximately along the x axis of the
+    tooth's frame.
 
     Parameters
     ----------
     tooth
-        Voxels of the whole tooth, with the pulp filled. The z axis of the voxels points from the
-        roots to the crown.
+        Voxels of the whole tooth, including the voxels of the pulp. The z axis of the voxels points
+        from the roots to the crown.
 
     Raises
     ------

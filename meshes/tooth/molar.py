@@ -90,11 +90,11 @@ class MolarSizes(Ranged):
         Thickness [mm] of the bone around and below the roots. The bone is a block with a flat
         crest.
     caries_depth_mm
-        Depth of a lesion under the fossa [mm]; 0 for no lesion. A lesion must have a depth of at
-        least 0.1 mm, and end at least 0.3 mm above the roof of the pulp chamber. The boundary of
-        the lesion is an ellipsoid that extends from the fossa down to this depth. The softness of
-        the lesion is (1 - r²)², where r is 0 at the centre and 1 at the boundary of the ellipsoid.
-        See `meshes.tooth.layers.caries_softness`.
+        Depth of a lesion under the fossa [mm]; 0 for no lesion. The depth of a lesion must be at
+        least 0.1 mm. The lesion must end at least 0.3 mm above the roof of the pulp chamber. The
+        boundary of the lesion is an ellipsoid that extends from the fossa down to this depth. The
+        softness in the lesion is (1 - r²)², where r is 0 at the centre of the ellipsoid and 1 at
+        its boundary. See `meshes.tooth.layers.caries_softness`.
     caries_diameter_mm
         Largest diameter of the lesion [mm].
     """
@@ -158,8 +158,8 @@ def molar(**sizes_mm: float) -> Anatomy:
             "chamber and canals of a young adult, a prior"
         ),
         "bone": (
-            f"one density, a block {sizes.socket_mm:g} mm beyond the roots; cortical plate and "
-            "marrow are one"
+            f"a block of one density, which reaches {sizes.socket_mm:g} mm beyond the roots; "
+            "cortical plate and marrow are not distinguished"
         ),
         "caries": f"{sizes.caries_depth_mm:g} mm deep, {sizes.caries_diameter_mm:g} mm wide"
         if lesion

@@ -130,7 +130,7 @@ class Crown:
         )
 
     def wall(self, p: Floats) -> Floats:
-        """Compute the horizontal distance [m] of points from the side wall of crown and root trunk.
+        """Compute the horizontal distance [m] of points from the wall of the crown and root trunk.
 
         The distance is negative inside.
         """
@@ -168,7 +168,7 @@ class Crown:
         return smooth_maximum(self.wall(p), top, _EDGE_M)
 
     def outside_dentin(self, p: Floats) -> Floats:
-        """Compute the distance [m] of points from the dentin under the enamel, as in `outside`.
+        """Compute the distance [m] of points from the dentin and the root trunk, like `outside`.
 
         Below the cervical line, the result is equal to `outside`.
         """
@@ -183,15 +183,15 @@ class Crown:
 
 @dataclass(frozen=True)
 class Root:
-    """Root of a molar: a round cone with a curved axis in the x-z plane, wider along y than x.
+    """Root of a molar: a rounded cone with a curved axis in the x-z plane and a larger width in y.
 
     Attributes
     ----------
     top, length
         Height of the root's upper end [m], and length from the upper end to the apex [m].
     axis
-        Coefficients [m] of the polynomial 1, u, u² for the x coordinate of the axis. The variable u
-        is 0 at the top and 1 at the apex.
+        Coefficients [m] of 1, u and u² in the polynomial for the x coordinate of the axis. The
+        variable u is 0 at the top and 1 at the apex.
     radius, apex_radius
         Half widths [m] along x, at the top and at the apex.
     flattening
@@ -207,18 +207,20 @@ class Root:
 
     @property
     def reach_x(self) -> float:
-        """Largest distance [m] along x of a point of the root from the tooth's long axis."""
+        """Largest distance [m], along x, of a point of the root from the tooth's long axis."""
         u = np.linspace(0.0, 1.0, 33)
         axis = self.axis[0] + u * (self.axis[1] + u * self.axis[2])
         return float(np.max(np.abs(axis) + self.radius + u * (self.apex_radius - self.radius)))
 
     def centre_x(self, z: Floats) -> Floats:
-        """Compute the x coordinate [m] of the axis at the heights z [m]."""
+        """Compute the x coordinates [m] of the root's axis at the heights z [m]."""
         u = np.clip((self.top - z) * (1.0 / self.length), 0.0, 1.0)
         return self.axis[0] + u * (self.axis[1] + u * self.axis[2])
 
     def distance(self, p: Floats) -> Floats:
-        """Compute a bound of the signed distance [m] from the root, negative inside.
+        """Compute a bound of the signed distance [m] from the root.
+
+        The bound is negative inside the root.
 
         Along x, the bound is equal to the distance. Along y, the bound is `flattening` times the
         distance.
@@ -235,7 +237,8 @@ class Root:
     def canal(self, p: Floats, *, radius: float, offset: tuple[float, float]) -> Floats:
         """Compute the distance [m] of points from a canal that follows the root's axis.
 
-        `offset` contains the shifts [m] of the canal along y, at the top and at the apex.
+        `offset` contains two shifts [m] of the canal along y relative to the root's axis: at the
+        top and at the apex.
         """
         depth = self.top + _CANAL_RISE_M - p[:, 2]
         u = np.clip(depth * (1.0 / self.length), 0.0, 1.0)
@@ -268,7 +271,7 @@ def mandibular_roots(crown: Crown, root_length: float) -> tuple[Root, Root]:
 
 
 def tooth_distance(crown: Crown, roots: tuple[Root, Root], p: Floats, *, dentin: bool) -> Floats:
-    """Compute the distance [m] of points from the whole tooth, or from the dentin with the pulp.
+    """Compute the distance [m] of points from the tooth, or from the dentin and pulp if `dentin`.
 
     The distance is negative inside.
     """
@@ -282,8 +285,8 @@ def tooth_distance(crown: Crown, roots: tuple[Root, Root], p: Floats, *, dentin:
 def outer_shape(crown: Crown, roots: tuple[Root, Root]) -> Shape:
     """Build the outer surface of the tooth as a shape.
 
-    The value of `tooth_distance` is divided by the upper bound of the function's slope. The
-    magnitude of the result is therefore a lower bound of the true distance.
+    The value of `tooth_distance` is divided by an upper bound of its slope. The magnitude of the
+    result is therefore a lower bound of the true distance.
     """
     # A margin of a tenth includes the inclination of the crown, 7 % of its half length. A margin of
     # 2 % includes the tips.

@@ -49,10 +49,10 @@ class PulpCavity:
     """Void in the dentin of a whole tooth that is assumed to be the tooth's pulp.
 
     A void is the pulp cavity if it has a plausible volume, lies in dentin, and is closed except for
-    apical foramina. Closed means that a ball with a diameter of more than 0.8 mm cannot enter the
-    void. It also means that all openings lie in the roots, with at most 1 mm2 each. Openings in the
-    crown of up to 0.05 mm2 in total are ignored. Fissures, grooves and clefts between roots are not
-    pulp cavities, because they are open along their length.
+    apical foramina. "Closed" means that a ball wider than 0.8 mm cannot enter the void. It also
+    means that all openings lie in the roots and that each has an area of at most 1 mm2. Openings in
+    the crown of up to 0.05 mm2 in total are ignored. Fissures, grooves and clefts between roots are
+    not pulp cavities, because they are open along their length.
 
     Attributes
     ----------
@@ -61,8 +61,9 @@ class PulpCavity:
     inside
         Mask of the cavity, a bool array with the shape of the voxels of `tooth`.
     away_m
-        Distance [m] of each voxel from the region that a ball's centre can reach from outside the
-        tooth. The ball has a diameter of 0.8 mm. The array has the shape of the voxels of `tooth`.
+        Distance [m] of each voxel from the set of positions that a ball's centre can reach from
+        outside the tooth. The ball has a diameter of 0.8 mm. The array has the shape of the voxels
+        of `tooth`.
     """
 
     tooth: VoxelVolume
@@ -117,19 +118,19 @@ class PulpCavity:
         """
         index = np.nonzero(volume.fraction < FULL / 2)
         cavity = np.zeros(volume.shape, dtype=bool)
-        cavity[index] = self.holds(
+        cavity[index] = self.contains(
             np.stack([volume.centres_m(axis)[k] for axis, k in enumerate(index)])
         )
         return cavity
 
-    def holds(self, empty_m: Array) -> Flags:
+    def contains(self, points_m: Array) -> Flags:
         """Return flags, shape (n,), of the points that lie in the cavity.
 
         The points [m], shape (3, n), must be outside all layers.
         """
         from scipy.ndimage import map_coordinates
 
-        at = (empty_m - self.tooth.origin_m[:, None]) / self.tooth.spacing_m - 0.5
+        at = (points_m - self.tooth.origin_m[:, None]) / self.tooth.spacing_m - 0.5
         nearest = np.rint(at).astype(np.int64)
         held = np.asarray(
             ((nearest >= 0) & (nearest < np.array(self.inside.shape)[:, None])).all(axis=0)
@@ -148,7 +149,7 @@ class PulpCavity:
 
 
 def with_pulp(volume: VoxelVolume, cavity: Flags) -> VoxelVolume:
-    """Fill the cavity of a tooth in voxels with pulp.
+    """Fill the cavity of a tooth, given as voxels, with pulp.
 
     Partly filled voxels at the wall of the cavity become full, and keep their layers.
     """

@@ -116,13 +116,16 @@ class VertebraSizes(Ranged):
     pedicle_width_mm, pedicle_height_mm
         Width and height of the elliptic pedicle [mm].
     pedicle_angle_deg
-        Angle [degrees] by which the axis of the pedicle is inclined medially toward the front.
+        Angle [degrees] between the pedicle's axis and the sagittal plane; the axes converge towards
+        the front.
     pedicle_cortex_mm
-        Thickness of the cortex of pedicle and arch [mm], less than a third of the pedicle's width.
+        Thickness [mm] of the cortex of the pedicle and the arch. It must be less than a third of
+        the pedicle's width.
     cortical_density_kg_m3
         Apparent density of the cortex [kg/m3].
     trabecular_density_kg_m3, pedicle_density_kg_m3
-        Apparent densities [kg/m3] of trabecular bone: in the body, and in pedicle and arch.
+        Apparent densities [kg/m3] of trabecular bone. The first is for the body, the second for the
+        pedicles and the arch.
     """
 
     body_width_mm: float = ranged(48.0, 36.0, 60.0)

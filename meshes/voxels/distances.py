@@ -29,20 +29,20 @@ def cube_fraction(distance: Floats, normal: Floats) -> Array:
     """Compute the volume of the part of a unit cube that lies behind a plane.
 
     The part is n·x <= -distance, where n is the plane's normal and the origin is the centre of the
-    cube. Let m = |n| / Σ|n| and a = 1/2 - distance / Σ|n|. Here, a is the height of the plane above
-    the cube's lowest corner along n, relative to the cube's extent along n. The volume is Σ_S
-    (-1)^|S| (a - Σ_{i∈S} m_i)₊³ / (6 m1 m2 m3), summed over the subsets S of the three axes. The
-    formula follows from inclusion-exclusion over the cube's corners. It is equivalent to the
-    formula of Scardovelli & Zaleski 2000, J. Comput. Phys. 164:228. Components of m below 1e-5 are
-    set to 1e-5, which changes the volume by less than 2e-5.
+    cube. Let m = |n| / Σ|n| and a = 1/2 - distance / Σ|n|. Here, a is the plane's distance from the
+    cube's lowest corner, divided by the cube's extent. Both lengths are measured along n. The
+    volume is Σ_S (-1)^|S| (a - Σ_{i∈S} m_i)₊³ / (6 m1 m2 m3), summed over the subsets S of the
+    three axes. The formula is derived with the inclusion-exclusion principle over the cube's
+    corners. It is equivalent to the formula of Scardovelli & Zaleski 2000, J. Comput. Phys.
+    164:228. Components of m below 1e-5 are set to 1e-5, which changes the volume by less than 2e-5.
 
     Parameters
     ----------
     distance
-        Signed distance of the cube's centre from the plane, in cube edges, positive in front of the
-        plane, shape (n,).
+        Signed distance of the cube's centre from the plane, shape (n,), in units of the cube's
+        edge. It is positive in front of the plane.
     normal
-        Outward plane normals, unit length, shape (n, 3).
+        Outward unit normals of the planes, shape (n, 3).
 
     Returns
     -------
@@ -78,7 +78,7 @@ _OFFSETS = np.array([o for o in np.ndindex(5, 5, 5) if 0 < sum((k - 2) ** 2 for 
 
 
 def surface_steps(distance: Floats) -> Bytes:
-    """Convert signed distances [voxel], negative inside, to stored surface distances."""
+    """Convert signed distances [voxel], negative inside, to the format of stored distances."""
     return np.clip(np.rint(SURFACE_ZERO + SURFACE_STEPS * distance), INSIDE, OUTSIDE).astype(
         np.uint8
     )
@@ -89,9 +89,9 @@ def near_the_surface(
 ) -> tuple[Bytes, Bytes, NDArray[np.uint16], Bytes]:
     """Return surface distance, layer, density and boundary distance of a volume.
 
-    The arrays have the shape of the volume. Layer and density are extended beyond the surface, as
-    far as the surface distance is known. The extension is needed for points between the last voxel
-    centre in the bone and the first voxel centre outside.
+    The arrays have the shape of the volume. The layer and the density are extended beyond the
+    surface to all voxels whose surface distance is known. The extension is needed for points
+    between the last voxel centre in the bone and the first voxel centre outside.
     """
     surface = (
         volume.surface_distance
@@ -109,7 +109,7 @@ def near_the_surface(
 def carried_beyond(
     fraction: Bytes, surface: Bytes, layer: Bytes, density: NDArray[np.uint16]
 ) -> tuple[Bytes, NDArray[np.uint16], Flags]:
-    """Extend layer and density of the outermost voxels beyond the surface.
+    """Extend the layer and the density of the outermost voxels to voxels outside the surface.
 
     Also return flags of the voxels whose layer and density are known after the extension.
     """
@@ -131,17 +131,18 @@ def carried_beyond(
 
 
 def surface_of_fractions(fraction: Bytes) -> Bytes:
-    """Compute the stored surface distance of each voxel from the voxels' filled fractions.
+    """Convert the filled fractions of voxels to encoded surface distances.
 
     The result is uint8, shape (nx, ny, nz).
 
     For each voxel at or next to the surface, a plane is computed. The plane is normal to the
-    gradient of the fractions. The part of the voxel behind the plane is equal to the filled
-    fraction. The surface distance of a voxel is a weighted mean of the distances from the planes of
-    nearby voxels. The space outside the array counts as empty. On a ball, the mean is smaller than
-    the true distance, but interpolation between voxel centres increases the distance. Each of these
-    two biases [voxel] is a twelfth of the sum of the principal curvatures [1/voxel]. After
-    interpolation, a quarter of one bias remains.
+    gradient of the fractions. The plane is placed so that the fraction of the voxel behind it is
+    equal to the filled fraction. The surface distance of a voxel is a weighted mean of the
+    distances between its centre and the planes of nearby voxels. The space outside the array counts
+    as empty. On a ball, the mean is smaller than the true distance, but interpolation between voxel
+    centres increases the distance. Each of these two biases [voxel] is a twelfth of the sum of the
+    principal curvatures [1/voxel]. After interpolation, the remaining bias is a quarter of one of
+    these biases.
     """
     from scipy.ndimage import binary_dilation, maximum_filter
 
@@ -253,9 +254,9 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
 
     The result has the shape (nx, ny, nz).
 
-    For each voxel, the direction to the boundary is computed from the surrounding voxels of other
-    layers. Along this direction, the boundary is searched in steps of half a voxel, then by
-    bisection.
+    For each voxel, the direction to the boundary is computed from the surrounding voxels that
+    belong to a different layer. Along this direction, the function searches for the boundary in
+    steps of half a voxel and then refines it by bisection.
 
     Parameters
     ----------
@@ -284,13 +285,14 @@ def layer_boundary(layer: Bytes, known: Flags, layer_at: LayerAt) -> Bytes:
 
 
 def boundary_of_layers(layer: Bytes, known: Flags) -> Bytes:
-    """Compute the stored distance to the nearest layer boundary from the layer of each voxel.
+    """Convert the layer of each voxel to the stored distance to the nearest layer boundary.
 
-    The mask of each layer is smoothed. The smoothed value (share) at a voxel is converted to the
-    distance of the plane that would give this value. The distances are corrected such that each
-    voxel's centre stays in the voxel's layer. Boundaries are therefore shifted by at most half a
-    voxel. If most neighbours of a voxel are in other layers, the voxel's distance is increased to
-    up to half a voxel. A layer with a thickness of one voxel therefore does not vanish.
+    The mask of each layer is smoothed. The smoothed value (share) at a voxel is converted to a
+    distance. At this distance from a plane boundary, the share has the same value. The distances
+    are corrected such that each voxel's centre stays in the voxel's layer. Boundaries are therefore
+    shifted by at most half a voxel. If most neighbours of a voxel are in other layers, the voxel's
+    distance is increased to a value of up to half a voxel. A layer with a thickness of one voxel
+    therefore does not vanish.
     """
     from scipy.ndimage import uniform_filter
 

@@ -27,7 +27,8 @@ def spread_labels(values: Singles, deviation_voxels: ArrayLike) -> Singles:
     values
         Mask, shape (nx, ny, nz).
     deviation_voxels
-        Standard deviation [voxel], one number or one for each axis, shape (3,).
+        Standard deviation of the smoothing [voxel]: one number, or one for each axis with shape
+        (3,).
     """
     from scipy.ndimage import correlate1d, gaussian_filter
 

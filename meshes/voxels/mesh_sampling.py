@@ -24,7 +24,7 @@ _PAIRS_AT_ONCE = 2_000_000
 
 @dataclass(frozen=True, eq=False)
 class ColumnCrossings:
-    """Heights at which vertical lines enter and leave a solid, sorted by line and height.
+    """Crossings of vertical lines and a solid's surface, sorted by line and then by height.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class ColumnCrossings:
 
 
 def column_crossings(vertices: Array, faces: Ints, x: Array, y: Array) -> ColumnCrossings:
-    """Compute the crossings of the vertical lines through each (x, y) with a solid.
+    """Compute the crossings of a solid's surface and the vertical line through each (x, y).
 
     The returned crossings are those at which the winding number becomes positive or stops being
     positive.
@@ -76,9 +76,9 @@ def column_crossings(vertices: Array, faces: Ints, x: Array, y: Array) -> Column
 
 
 def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
-    """Return flags of the points [m], shape (n, 3), at which the winding number is positive.
+    """Return whether the winding number is positive at each of the points [m], shape (n, 3).
 
-    Each point is tested with the vertical line through the point. Triangles are sorted into square
+    The test of a point uses the vertical line through the point. Triangles are sorted into square
     columns, so a point is only tested against the triangles of its column.
     """
     points = np.asarray(points, dtype=np.float64)
@@ -103,9 +103,11 @@ def inside_scattered(vertices: Array, faces: Ints, points: Floats) -> Flags:
         owner, nth = _repeated(pairs[part])
         point = owner + part.start
         tested = triangle[starts[at[point]] + nth]
-        met, height, sign = _met(corners, faces, tested, points[point, 0], points[point, 1])
-        owner = owner[met]
-        below = sign * (height <= points[point[met], 2])
+        crossed, height, sign = _crossings(
+            corners, faces, tested, points[point, 0], points[point, 1]
+        )
+        owner = owner[crossed]
+        below = sign * (height <= points[point[crossed], 2])
         tried = part.stop - part.start
         winding = np.bincount(owner, weights=below, minlength=tried)
         unclosed = np.bincount(owner, weights=sign, minlength=tried) != 0.0
@@ -197,11 +199,11 @@ def _crossed(
     triangle, within = _repeated(counts[:, 0] * counts[:, 1])
     i = first[triangle, 0] + within // counts[triangle, 1]
     j = first[triangle, 1] + within % counts[triangle, 1]
-    kept, height, sign = _met(corners, faces, triangle, x[i], y[j])
+    kept, height, sign = _crossings(corners, faces, triangle, x[i], y[j])
     return i[kept] * len(y) + j[kept], height, sign
 
 
-def _met(
+def _crossings(
     corners: Array,
     faces: Ints,
     triangle: Ints,
@@ -289,9 +291,9 @@ class TriangleSampler:
     faces
         Triangles with outward normals, shape (m, 3).
     threshold_m
-        Depth [m] at which the layer of a voxel changes. In lattice cells that lie completely above
-        or below this depth, the computed depth may be inaccurate, but is on the correct side of the
-        threshold. If infinite, the depth is accurate everywhere.
+        Depth [m] at which the layer of a voxel changes. In cells of the sampling lattice whose
+        depths are all on one side of the threshold, the computed depth may be inaccurate. It is
+        still on the correct side of the threshold. If infinite, the depth is accurate everywhere.
     """
 
     vertices_m: Array
@@ -376,7 +378,7 @@ class TriangleSampler:
 
 
 def refined(corners: Singles, step: int, *, axes: Iterable[int]) -> Singles:
-    """Interpolate values at lattice points linearly to the centres of voxels, along some axes.
+    """Interpolate values linearly from lattice points to voxel centres, along the given axes.
 
     Along each axis, a cell of the lattice consists of `step` voxels.
     """
@@ -425,7 +427,9 @@ def _whole_cells(points: Flags) -> Flags:
 
 
 def triangle_distance(vertices: Array, faces: Ints, points: Floats) -> Array:
-    """Compute the signed distance [m], shape (n,), of points from the surface, negative inside.
+    """Compute the signed distance [m], shape (n,), of points from a surface.
+
+    The distance is negative inside.
 
     The points [m] have the shape (n, 3).
     """
@@ -455,7 +459,7 @@ def surface_distance(vertices: Array, faces: Ints) -> Callable[[Floats], Array]:
 
 
 def nearest_on_triangles(vertices: Array, faces: Ints, points: Array) -> Array:
-    """Return the nearest surface point [m], shape (n, 3), to each point [m]."""
+    """Return the surface points [m], shape (n, 3), that are nearest to the given points [m]."""
     import pyvista
 
     if len(points) == 0:

@@ -27,11 +27,11 @@ class VoxelVolume:
     Attributes
     ----------
     origin_m
-        Corner of voxel (0, 0, 0) with the lowest coordinates [m], shape (3,), float64.
+        Lowest corner of voxel (0, 0, 0) [m], shape (3,), float64.
     spacing_m
         Edge of a voxel [m].
     fraction
-        Bone fraction of the voxel, 255 = full, uint8, shape (nx, ny, nz).
+        Bone fraction of each voxel, uint8, shape (nx, ny, nz). The value 255 means full.
     layer
         Index into `layer_names`, uint8, shape (nx, ny, nz). The index has no meaning in a voxel
         with a bone fraction of 0.
@@ -40,7 +40,8 @@ class VoxelVolume:
     layer_names
         Name of each layer.
     placement
-        Placement of the volume's frame in the frame of the bone's file. None without a file.
+        Placement of the volume's frame in the frame of the bone's file. It is None if the bone was
+        not read from a file.
     surface_distance
         Signed distance from each voxel's centre to the bone's surface, uint8, shape (nx, ny, nz).
         For the encoding, see `meshes.voxels.distances`. If None, this distance is computed from the
@@ -96,7 +97,7 @@ class VoxelVolume:
 
     @property
     def bounds_m(self) -> tuple[Array, Array]:
-        """Corners [m] of the voxel block: lowest and highest coordinates, each shape (3,)."""
+        """Lowest and highest coordinates [m] of the voxel block, two arrays of shape (3,)."""
         return self.origin_m, self.origin_m + self.spacing_m * np.array(self.shape)
 
     @property
@@ -172,14 +173,15 @@ def density_volume(
     layer_names
         Name of each layer.
     margin
-        Number of empty voxels that are added on each side. With 0, the force on a cutter is up to 3
-        % too low where bone extends to the edge of the array. The reason is that the bone's surface
-        is interpolated between voxels on its two sides, and there are no voxels outside the array.
+        Number of empty voxels that are added on each side. If `margin` is 0, the force on a cutter
+        is up to 3 % too low where bone extends to the edge of the array. The reason is that the
+        bone's surface is interpolated between voxels inside and outside the bone, and there are no
+        voxels outside the array.
 
     Raises
     ------
     InputError
-        If an array has another shape, is not finite or out of range, or contains no bone.
+        If an array has a wrong shape, is not finite, is out of range, or contains no bone.
     """
     density = np.asarray(density_kg_m3, dtype=np.float64)
     if density.ndim != 3 or 0 in density.shape:

@@ -65,7 +65,7 @@ _LOCAL = lattice(*[np.arange(BLOCK)] * 3)
 
 
 class VoxelArrays(NamedTuple):
-    """Arrays of a future `VoxelVolume` while they are filled, on a grid of whole blocks.
+    """Arrays for a `VoxelVolume` that is being filled, on a grid of whole blocks.
 
     All arrays have the shape of the grid.
     """
@@ -94,7 +94,9 @@ def voxel_fraction(
     *,
     split_creases: bool = True,
 ) -> Singles:
-    """Compute the fraction of each voxel inside a shape, with the surface as a plane per voxel.
+    """Compute the fraction of each voxel inside a shape.
+
+    In each voxel, the surface is approximated by a plane.
 
     If the distance has a crease within a voxel (an edge or corner), the voxel is divided into 4 x 4
     x 4 parts, each with its own plane.
@@ -110,8 +112,8 @@ def voxel_fraction(
 
     Returns
     -------
-    Fractions from 0 to 1, shape (n,). The normal of the plane is computed from central differences
-    of the distance over half a voxel.
+    Fractions from 0 to 1, shape (n,). The plane's normal is computed from central differences of
+    the distance, taken over half a voxel.
     """
     fraction = (distance < 0.0).astype(np.float32)
     crossed = np.flatnonzero(np.abs(distance) < _HALF_DIAGONAL * spacing_m)
@@ -157,7 +159,7 @@ def _split_fraction(shape: Shape, centres: Singles, spacing_m: float) -> Singles
 
 
 def fill_from_shape(anatomy: Anatomy, grid: Grid, out: VoxelArrays) -> None:
-    """Fill `out` on a grid of whole blocks from the anatomy's signed distance."""
+    """Fill `out` by evaluating the anatomy's signed distance on a grid of whole blocks."""
     firsts = grid.block_firsts()
     blocks = [_by_blocks(array) for array in out]
     counts = blocks[0].shape[:3]
@@ -234,7 +236,7 @@ def _interpolated(corners: Floats, chosen: Flags) -> Singles:
 
 
 def centres_of(index: Ints, spacing_m: float, shift: float) -> Singles:
-    """Return the coordinates [m], shape (n, 3), of voxel indices, shifted by `shift` spacings.
+    """Return the points ``(index + shift) * spacing_m`` [m], shape (n, 3).
 
     The array is float32 and stored in column order.
     """
@@ -273,9 +275,9 @@ def voxelise(
     """Convert an anatomy to voxels in the site frame.
 
     Grid lines lie at integer multiples of the spacing, so the content of a voxel does not depend on
-    the region. If the surface crosses a voxel, the bone fraction is the part of the voxel behind
-    the surface's tangent plane. The volume error is of second order in the spacing. In voxels in
-    which two surfaces cross, the error is of first order.
+    the region. If the surface crosses a voxel, the bone fraction is the fraction of the voxel
+    behind a plane that approximates the surface. The volume error is of second order in the
+    spacing. In voxels in which two surfaces cross, the error is of first order.
 
     Parameters
     ----------
@@ -284,11 +286,11 @@ def voxelise(
     spacing_m
         Edge of a voxel [m].
     region_m
-        Corners [m] of the region with the lowest and the highest coordinates. The region is
-        extended to whole voxels. If None, the grid covers the anatomy's bounding box and a margin
-        of two voxels. The surface distance is also stored in the margin.
+        Lowest and highest coordinates [m] of the region. The region is extended to whole voxels. If
+        None, the grid covers the anatomy's bounding box and a margin of two voxels. The surface
+        distance is also stored in the margin.
     minus
-        Solid in the site frame that is subtracted with sub-voxel accuracy, such as a pilot hole.
+        Solid in the site frame, such as a pilot hole, that is subtracted with sub-voxel accuracy.
         The subtraction does not change the layers.
     progress
         Function that is called with the finished fraction, 0 to 1, in the calling thread.

@@ -33,7 +33,7 @@ SLOT_MM = ((0.2, 0.1, 0.5), (0.2, 0.1, -0.8), (1.7, 0.5, -1.0), (1.9, 0.6, 0.5))
 
 def wanted_of(cut: VoxelCut, *shape: object) -> ReferenceForce:
     """Force of the exact geometry, kept by what is known of its bone."""
-    return cut.reference(kept_by=(*shape, CUTTER, BONE))
+    return cut.reference(cache_key=(*shape, CUTTER, BONE))
 
 
 def slot() -> tuple[VoxelCut, ReferenceForce]:

@@ -6,7 +6,7 @@ Run: `python tests/bench/bench_force_scale.py [--device touch] [--people 3] [--s
 For each of the study's tasks T1 (palpation), T2 (wall) and T3 (milling), simulated people of the
 middle group feel the softer and the middle specimen. Printed are the mean forces at the skin in
 contact, the d' of simulated observers for these means, and the d' that
-`tissue.simulation.builders.force_met` expects, for the same ratio of stiffnesses.
+`tissue.simulation.builders.force_scale` expects, for the same ratio of stiffnesses.
 
 With `--exponent 1.2` the same forces are mapped by limit (F / limit)^1.2, where the limit is the
 knee of the device's range. Printed is the change of d' if the map is applied to the forces of the
@@ -32,7 +32,7 @@ from tissue.haptics.loop.filters import ForceRange
 from tissue.perception.observer import Observer, reference_observer, write_observer
 from tissue.scene.load import changed, load_scene
 from tissue.scene.scene import Scene
-from tissue.simulation.builders.force_met import STIFFER, Series, chosen_scale, force_met
+from tissue.simulation.builders.force_scale import STIFFER, Series, chosen_scale, expected_force
 from tissue.simulation.simulate import simulate
 
 OBSERVERS = 200
@@ -110,7 +110,7 @@ def measure(
         changed(load_scene(task.scene), {**task.changes, **each, **by_hand})
         for each in task.specimens[:2]
     )
-    met = force_met(middle)
+    met = expected_force(middle)
     limits = device_parameters(given.device, middle.constants)
     series = Series.of(limits, middle.constants)
     device = ForceRange(limit_N=limits.force_limit_N)

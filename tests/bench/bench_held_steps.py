@@ -79,7 +79,7 @@ def followed(scene: Scene, rows: Array, steps: int) -> Course:
     motion = parts.motion
     assert isinstance(motion, HandMotion)
     tool, tissue, pose = motion.tool, parts.tissue, ToolMotion()
-    motion.meet(tissue)
+    motion.set_tissue(tissue)
     motion.begin(pose)
     start = pose.rotation.copy()
     tissue.place(pose)

@@ -24,7 +24,7 @@ from harness import machine, table  # noqa: E402
 
 from tissue.fem import region  # noqa: E402
 from tissue.models.organ.law import LawOffset  # noqa: E402
-from tissue.models.organ.model import LiverModel  # noqa: E402
+from tissue.models.organ.model import OrganModel  # noqa: E402
 from tissue.scene.load import load_scene  # noqa: E402
 from tissue.simulation.builders.organ import REGION  # noqa: E402
 from tissue.simulation.run import Run  # noqa: E402
@@ -46,7 +46,7 @@ def run_with(
     spare = region.LOADS - region.MODES
     region.MODES, region.LOADS = modes, modes + spare
     took_s: list[float] = []
-    make, solve = LiverModel.__init__, LawOffset.solve
+    make, solve = OrganModel.__init__, LawOffset.solve
 
     def make_with(self, organ, *positional, **named):
         if organ.law is not None:
@@ -59,11 +59,11 @@ def run_with(
         took_s.append(thread_time() - started)
         return solved
 
-    LiverModel.__init__, LawOffset.solve = make_with, timed
+    OrganModel.__init__, LawOffset.solve = make_with, timed
     try:
         run = simulate(load_scene(scene, changes), cores=1)
     finally:
-        LiverModel.__init__, LawOffset.solve = make, solve
+        OrganModel.__init__, LawOffset.solve = make, solve
     return run, np.array(took_s)
 
 

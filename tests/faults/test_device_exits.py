@@ -161,7 +161,7 @@ def test_a_call_that_never_returns_is_given_up(kind, where, tmp_path):
     if where == "read" or kind is Managed:
         assert_left_alone(device)
     else:
-        assert "it has no close and may still push, switch it off" in saved.problem
+        assert "it has no method close and may still push: switch it off" in saved.problem
     count = len(device.commands)
     device.freed.set()
     for thread in threading.enumerate():

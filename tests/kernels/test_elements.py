@@ -145,7 +145,7 @@ def test_a_chunk_may_cut_where_an_element_advances_or_lies_close_to_bone(everywh
     motion, shell = ToolMotion(speed_m_s=1e-3), model.shell
     motion.tip_m[:] = (1e-4, -1e-4, -1.2e-3)
     motion.heading[0] = (0.8, 0.0, -0.6)
-    model.take(motion)
+    model.send_pose(motion)
     count = len(shell.areas_m2)
     arrays = [
         wp.zeros(count, dtype=float),

@@ -13,10 +13,10 @@ import warp as wp
 
 import kernels.launcher as launcher
 from kernels.launcher import (
-    KEPT,
     LEAST_GAIN,
     LONGEST_PERIOD,
     ORDER,
+    RECENT_GAINS,
     SplitChoice,
     SplitLaunch,
 )
@@ -141,7 +141,7 @@ def test_a_choice_begins_with_a_trial(gain, splits):
 def test_a_choice_follows_the_machine_while_it_runs(before, after):
     """A core that others take, or give back, turns the choice within as many trials as count."""
     choice = settled(before)
-    for _ in range(KEPT):
+    for _ in range(RECENT_GAINS):
         run_to_trial(choice, after)
         trial(choice, even(after))
     assert choice.splits == (after >= LEAST_GAIN)
@@ -164,7 +164,7 @@ def test_one_interruption_decides_nothing(gain):
 def test_interruptions_that_come_again_end_the_splitting():
     """The mean counts, not the median: threads that often lose their core make late ticks."""
     choice = settled(TWO_CORES)
-    for _ in range(KEPT):
+    for _ in range(RECENT_GAINS):
         run_to_trial(choice, TWO_CORES)
         times = even(TWO_CORES)
         times[True] = iter([SLICE_S] * 3 + [WHOLE_S / TWO_CORES] * 5)

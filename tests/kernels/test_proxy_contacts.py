@@ -136,17 +136,17 @@ def test_candidates_beside_solids_and_points_that_sleep(seed):
     bound = gaps.min(axis=1)
     assert gap == pytest.approx(bound.min(), abs=ROUNDING_M)
     assert clear == pytest.approx(np.maximum(bound, STEP_M).min(), abs=ROUNDING_M)
-    wake = np.where(bound > STEP_M, bound - STEP_M, 0.0)
-    assert looker.read("wake") == pytest.approx(wake, abs=ROUNDING_M)
+    check_travel = np.where(bound > STEP_M, bound - STEP_M, 0.0)
+    assert looker.read("check_travel") == pytest.approx(check_travel, abs=ROUNDING_M)
     for wanted, early in ((0.0, 0.0), (STEP_M, STEP_M), (1.0, AHEAD * STEP_M)):
-        awake = wake - 3e-4 <= early
-        looker.contacts.wake.assign(wake)
+        awake = check_travel - 3e-4 <= early
+        looker.contacts.check_travel.assign(check_travel)
         count, _, clear = looker.look(position, turn=turn, travel_m=3e-4, wanted_m=wanted)
         assert count == (gaps[awake] < STEP_M).sum()
-        seen = np.where(awake, np.maximum(bound, STEP_M), wake - 3e-4 + STEP_M)
+        seen = np.where(awake, np.maximum(bound, STEP_M), check_travel - 3e-4 + STEP_M)
         assert clear == pytest.approx(seen.min(), abs=ROUNDING_M)
-        woken = np.where(awake & (bound > STEP_M), 3e-4 + bound - STEP_M, wake)
-        assert looker.read("wake") == pytest.approx(woken, abs=ROUNDING_M)
+        woken = np.where(awake & (bound > STEP_M), 3e-4 + bound - STEP_M, check_travel)
+        assert looker.read("check_travel") == pytest.approx(woken, abs=ROUNDING_M)
 
 
 def test_a_point_keeps_the_plane_that_it_met_while_it_goes_up_a_wall():
@@ -177,7 +177,7 @@ def test_a_point_keeps_the_plane_that_it_met_while_it_goes_up_a_wall():
         pytest.approx(step),
     )
     assert looker.read("normal", 1) == pytest.approx(np.array([[0.0, 0.0, 1.0]]), abs=1e-12)
-    looker.contacts.press.assign([force, 0.0, 0.0])
+    looker.contacts.normal_force.assign([force, 0.0, 0.0])
     assert (
         looker.look((far, far + spacing, edge + 0.3 * spacing), step_m=step)[0] == 1
     )  # same plane
@@ -186,19 +186,19 @@ def test_a_point_keeps_the_plane_that_it_met_while_it_goes_up_a_wall():
     assert found == 2 and slots[0] == 0
     assert gaps == pytest.approx(np.array([0.3 * spacing, 0.6 * spacing]) - shift, abs=1e-12)
     assert normals == pytest.approx(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), abs=1e-12)
-    assert looker.read("press")[[0, slots[1]]].tolist() == [0.0, force]
+    assert looker.read("normal_force")[[0, slots[1]]].tolist() == [0.0, force]
     found, _, _ = looker.look((edge + 0.3 * spacing, far, edge + 0.9 * spacing), step_m=step)
-    assert found == 1 and not looker.read("press").any()
-    looker.contacts.press.assign([force, force, 0.0])
+    assert found == 1 and not looker.read("normal_force").any()
+    looker.contacts.normal_force.assign([force, force, 0.0])
     found, _, clear = looker.look((far, far, far), step_m=step)
     assert found == 0 and clear > step
-    assert not looker.read("press").any() and not looker.read("plane_normal").any()
+    assert not looker.read("normal_force").any() and not looker.read("plane_normal").any()
 
 
 @pytest.mark.parametrize(
-    ("press", "place"), [((5.0, 1.0, 3.0), 1), ((5.0, 3.0, 1.0), 2), ((5.0, 0.0, 0.0), 1)]
+    ("normal_force", "place"), [((5.0, 1.0, 3.0), 1), ((5.0, 3.0, 1.0), 2), ((5.0, 0.0, 0.0), 1)]
 )
-def test_a_plane_that_is_kept_takes_the_place_of_the_weaker_of_the_older_two(press, place):
+def test_a_plane_that_is_kept_takes_the_place_of_the_weaker_of_the_older_two(normal_force, place):
     """A kept plane replaces the weaker of the two older planes.
 
     For the second of two points, its present plane and force move; the other kept plane and the
@@ -211,11 +211,11 @@ def test_a_plane_that_is_kept_takes_the_place_of_the_weaker_of_the_older_two(pre
     normals, offsets = np.random.default_rng(0).normal(size=(2, 3, 3)), np.arange(6.0).reshape(2, 3)
     contacts.plane_normal = wp.array(normals, dtype=wp.vec3d, device="cpu")
     contacts.plane_offset = wp.array(offsets, dtype=wp.float64, device="cpu")
-    contacts.press = wp.array([7.0, 8.0, 9.0, *press], dtype=wp.float64, device="cpu")
+    contacts.normal_force = wp.array([7.0, 8.0, 9.0, *normal_force], dtype=wp.float64, device="cpu")
     wp.launch(keep_once, dim=1, inputs=[], outputs=[contacts, 1], device="cpu")
-    wanted = np.array(press)
-    wanted[0], wanted[place] = 0.0, press[0]
-    assert looker.read("press").tolist() == [7.0, 8.0, 9.0, *wanted]
+    wanted = np.array(normal_force)
+    wanted[0], wanted[place] = 0.0, normal_force[0]
+    assert looker.read("normal_force").tolist() == [7.0, 8.0, 9.0, *wanted]
     normals[1, place], offsets[1, place] = normals[1, 0], offsets[1, 0]
     np.testing.assert_array_equal(looker.read("plane_normal"), normals)
     np.testing.assert_array_equal(looker.read("plane_offset"), offsets)

@@ -92,7 +92,7 @@ def one_contact(arm, normal, gap):
     contacts = Contacts()
     contacts.slots = 1
     for name, values, dtype in (
-        ("press", [0.0], wp.float64),
+        ("normal_force", [0.0], wp.float64),
         ("slot", [0], wp.int32),
         ("chosen", [0], wp.int32),
         ("gap", [gap], wp.float64),
@@ -191,14 +191,14 @@ def test_a_motion_into_a_plane_ends_on_it(compliance):
     for seed in range(5):
         case = Case(seed, compliance=compliance, gap=0.05)
         moment = np.cross(case.arm, case.normal)
-        press = -(0.05 + case.normal @ case.shift + moment @ case.turn) / (
+        normal_force = -(0.05 + case.normal @ case.shift + moment @ case.turn) / (
             1.0 + compliance * moment @ moment
         )
-        assert press > 0.0
-        force = press * case.normal
-        shift, turn = case.shift + force, case.turn + compliance * press * moment
+        assert normal_force > 0.0
+        force = normal_force * case.normal
+        shift, turn = case.shift + force, case.turn + compliance * normal_force * moment
         assert case.vectors == pytest.approx(
-            np.array([shift, turn, force, press * moment, case.arm]), abs=EXACT
+            np.array([shift, turn, force, normal_force * moment, case.arm]), abs=EXACT
         )
         assert case.numbers[3:].tolist() == [GOES_ON, 0.0, 1.0]
         case.check_pose(case.trial, shift, turn)

@@ -24,7 +24,7 @@ def solve_once(
     wrench_out: wp.array(dtype=wp.vec3d),  # rubbing force and its arm
     members_out: wp.array(dtype=wp.int32),  # size of the active set, and solves of it
 ):
-    members, solves, rub, arm = resolve(
+    members, solves, tangential_force, arm = resolve(
         contacts,
         count,
         compliance,
@@ -36,21 +36,30 @@ def solve_once(
         last[1],
         wp.float64(1.0e-13),
     )
-    wrench_out[0] = rub
+    wrench_out[0] = tangential_force
     wrench_out[1] = arm
     members_out[0] = members
     members_out[1] = solves
 
 
 def solved(
-    arms, normals, gaps, free, *, compliance, friction=0.0, press=None, last=NOTHING, solves=None
+    arms,
+    normals,
+    gaps,
+    free,
+    *,
+    compliance,
+    friction=0.0,
+    normal_force=None,
+    last=NOTHING,
+    solves=None,
 ):
     """Normal forces, friction force and its arm; the number of solves is added to `solves`."""
     count = len(gaps)
     clearance = Contacts()
     clearance.slots = 1
-    clearance.press = wp.array(
-        np.zeros(count) if press is None else press, dtype=wp.float64, device="cpu"
+    clearance.normal_force = wp.array(
+        np.zeros(count) if normal_force is None else normal_force, dtype=wp.float64, device="cpu"
     )
     clearance.slot = wp.array(np.arange(count), dtype=wp.int32, device="cpu")
     clearance.arm = wp.array(arms, dtype=wp.vec3d, device="cpu")
@@ -70,7 +79,7 @@ def solved(
     wp.launch(solve_once, dim=1, inputs=inputs, outputs=[out, members], device="cpu")
     if solves is not None:
         solves.append(int(members.numpy()[1]))
-    return clearance.press.numpy(), *out.numpy()
+    return clearance.normal_force.numpy(), *out.numpy()
 
 
 def least_distance(arms, normals, gaps, free, *, compliance):
@@ -91,9 +100,11 @@ def least_distance(arms, normals, gaps, free, *, compliance):
     return step[:3], scale * step[3:]
 
 
-def moved(arms, normals, press, free, *, compliance, rub=(0, 0, 0), arm=(0, 0, 0)):
-    force = press @ normals + rub
-    moment = press @ np.cross(arms, normals) + np.cross(arm, rub)
+def moved(
+    arms, normals, normal_force, free, *, compliance, tangential_force=(0, 0, 0), arm=(0, 0, 0)
+):
+    force = normal_force @ normals + tangential_force
+    moment = normal_force @ np.cross(arms, normals) + np.cross(arm, tangential_force)
     return free[0] + force, free[1] + compliance * moment
 
 
@@ -113,13 +124,13 @@ def test_frictionless_motion_is_the_nearest_one_allowed(lever):
         free = np.array(
             [random.normal(size=3) * 3e-3, random.normal(size=3) * (0.1 if lever else 0.0)]
         )
-        press, _, _ = solved(arms, normals, gaps, free, compliance=compliance)
-        shift, turn = moved(arms, normals, press, free, compliance=compliance)
+        normal_force, _, _ = solved(arms, normals, gaps, free, compliance=compliance)
+        shift, turn = moved(arms, normals, normal_force, free, compliance=compliance)
         expected = least_distance(arms, normals, gaps, free, compliance=compliance)
         assert shift == pytest.approx(expected[0], abs=EXACT)
         assert turn == pytest.approx(expected[1], abs=EXACT * (1.0 + np.sqrt(compliance)))
-        assert (press >= 0.0).all()
-        active = max(active, int((press > 0.0).sum()))
+        assert (normal_force >= 0.0).all()
+        active = max(active, int((normal_force > 0.0).sum()))
     assert active >= 3
 
 
@@ -139,7 +150,7 @@ def test_friction_holds_or_works_against_the_slip(friction):
         free = np.array(
             [random.normal(size=3) * [1e-3, 1e-3, 0.0] - [0, 0, 2e-3], random.normal(size=3) * 0.01]
         )
-        press, rub, arm = solved(
+        normal_force, tangential_force, arm = solved(
             arms,
             normals,
             0.2e-3 + arms[:, 2] - arms[:, 2].min(),
@@ -147,17 +158,25 @@ def test_friction_holds_or_works_against_the_slip(friction):
             compliance=2500.0,
             friction=friction,
         )
-        total = press.sum()
-        shift, turn = moved(arms, normals, press, free, compliance=2500.0, rub=rub, arm=arm)
+        total = normal_force.sum()
+        shift, turn = moved(
+            arms,
+            normals,
+            normal_force,
+            free,
+            compliance=2500.0,
+            tangential_force=tangential_force,
+            arm=arm,
+        )
         slip = (shift + np.cross(turn, arm))[:2]
-        size = np.linalg.norm(rub)
-        assert rub[2] == pytest.approx(0.0, abs=1e-15)
+        size = np.linalg.norm(tangential_force)
+        assert tangential_force[2] == pytest.approx(0.0, abs=1e-15)
         assert size <= friction * total * (1.0 + 1e-6)
         if size < friction * total * (1.0 - 1e-6):
             assert slip == pytest.approx(np.zeros(2), abs=1e-9)
             stuck += 1
         elif total > 0.0:
-            against = -rub[:2] @ slip / (size * np.linalg.norm(slip))
+            against = -tangential_force[:2] @ slip / (size * np.linalg.norm(slip))
             assert against == pytest.approx(1.0, abs=1e-4)
             slipped += 1
     assert slipped > 5 or stuck > 5
@@ -173,23 +192,35 @@ def slanted_planes(random):
     return arms, normals, np.zeros(count), free
 
 
-def after_ticks(given, *, friction, press=None, last=NOTHING, ticks=20):
+def after_ticks(given, *, friction, normal_force=None, last=NOTHING, ticks=20):
     """Normal forces, friction force and its arm after some ticks at one place."""
     for _ in range(ticks):
-        press, *last = solved(
-            *given, compliance=GROOVE, friction=friction, press=press, last=np.array(last)
+        normal_force, *last = solved(
+            *given,
+            compliance=GROOVE,
+            friction=friction,
+            normal_force=normal_force,
+            last=np.array(last),
         )
-    return press, *last
+    return normal_force, *last
 
 
 GROOVE = 5e-3**-2
 
 
-def slip_of(given, press, rub, arm):
+def slip_of(given, normal_force, tangential_force, arm):
     """Motion of the point where friction acts, across the planes' resultant, and that resultant."""
     arms, normals, _, free = given
-    shift, turn = moved(arms, normals, press, free, compliance=GROOVE, rub=rub, arm=arm)
-    along, slip = press @ normals, shift + np.cross(turn, arm)
+    shift, turn = moved(
+        arms,
+        normals,
+        normal_force,
+        free,
+        compliance=GROOVE,
+        tangential_force=tangential_force,
+        arm=arm,
+    )
+    along, slip = normal_force @ normals, shift + np.cross(turn, arm)
     return slip - (slip @ along) * along / (along @ along), along
 
 
@@ -206,21 +237,33 @@ def test_friction_on_slanted_planes_answers_to_what_they_press_then(friction):
     stuck = slipped = 0
     for _ in range(16):
         given = arms, normals, _, free = slanted_planes(random)
-        press, rub, arm = after_ticks(given, friction=friction)
-        shift, turn = moved(arms, normals, press, free, compliance=GROOVE, rub=rub, arm=arm)
+        normal_force, tangential_force, arm = after_ticks(given, friction=friction)
+        shift, turn = moved(
+            arms,
+            normals,
+            normal_force,
+            free,
+            compliance=GROOVE,
+            tangential_force=tangential_force,
+            arm=arm,
+        )
         gaps = normals @ shift + np.cross(arms, normals) @ turn
-        slip, along = slip_of(given, press, rub, arm)
-        total, size, slid = press.sum(), np.linalg.norm(rub), np.linalg.norm(slip)
-        assert press.min() >= 0.0 and total > 0.0
-        assert gaps.min() >= -1e-12 and np.abs(gaps[press > 0.0]).max() < 1e-12
-        assert arm == pytest.approx(press @ arms / total, abs=2e-6)
-        assert abs(rub @ along) <= 1e-4 * size * np.linalg.norm(along)
+        slip, along = slip_of(given, normal_force, tangential_force, arm)
+        total, size, slid = (
+            normal_force.sum(),
+            np.linalg.norm(tangential_force),
+            np.linalg.norm(slip),
+        )
+        assert normal_force.min() >= 0.0 and total > 0.0
+        assert gaps.min() >= -1e-12 and np.abs(gaps[normal_force > 0.0]).max() < 1e-12
+        assert arm == pytest.approx(normal_force @ arms / total, abs=2e-6)
+        assert abs(tangential_force @ along) <= 1e-4 * size * np.linalg.norm(along)
         assert size <= friction * total * (1.0 + 1e-6)
         if size < friction * total * (1.0 - 1e-6):
             assert slid < 1e-9
             stuck += 1
         else:
-            assert -rub @ slip == pytest.approx(size * slid, rel=1e-4)
+            assert -tangential_force @ slip == pytest.approx(size * slid, rel=1e-4)
             slipped += 1
     assert slipped > 5 and (stuck > 3 or friction < 0.2)
 

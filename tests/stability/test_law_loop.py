@@ -127,7 +127,7 @@ def growth(tangent, share, *, extra_s, late_ticks):
             block.motion.tip_m[:] = tip_m
             model.advance(block.motion)
             response = model.respond(block.motion)
-            if not tool.lands(response):
+            if not tool.has_entered(response):
                 break
         force = low_pass.step(force_scale * spring * (tip_m - wanted_m))
         device.command(force, np.zeros(3))

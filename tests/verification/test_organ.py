@@ -150,8 +150,8 @@ def test_a_press_is_what_the_scene_runner_gives(monkeypatch):
         assert error < allowed
     assert [what.split(":")[0] for _, what in run.events] == ["pressed 3.3 mm deep"]
     assert (
-        "from 3.3 mm on the linear law differs from a hyperelastic force by more than 5%"
-        in press.notes["linear"]
+        "beyond 3.3 mm, the force of the linear law differs by more than 5% from the force of a "
+        "hyperelastic law" in press.notes["linear"]
     )
 
 

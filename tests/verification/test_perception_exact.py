@@ -59,7 +59,7 @@ def test_weber_is_7_percent_of_strong_forces_and_more_of_weak_ones():
 
 def test_a_quantile_of_the_threshold_leaves_nine_in_ten_above_it():
     observer = person(spread={"kappa": 0.3})
-    drawn = observer.draws(200_000, np.random.default_rng(1))["kappa"]
+    drawn = observer.draw(200_000, np.random.default_rng(1))["kappa"]
     # 5 standard errors
     assert (drawn > weber_of(observer, quantile=0.1).kappa).mean() == pytest.approx(0.9, abs=0.004)
     assert weber_of(observer).kappa == pytest.approx(0.07)
@@ -112,7 +112,7 @@ def test_intensity_is_inverted_for_every_observer():
 
 
 def test_people_have_the_laws_that_are_stated():
-    law, drawn = population(), population().draws(400_000, np.random.default_rng(3))
+    law, drawn = population(), population().draw(400_000, np.random.default_rng(3))
     # five standard errors, here and below
     assert drawn["alpha"].mean() == pytest.approx(1.0, abs=0.003)
     assert drawn["beta"].mean() == pytest.approx(1.7, abs=0.002) and drawn[

@@ -48,17 +48,17 @@ def calibrate(
         answers and a picture are written to the same folder.
     device
         Device that plays forces to a person: haply, forcedimension, sigma-7, openhaptics, network,
-        recorded, or a device of an installed package. With mouse (default), touch, omni or six-dof,
-        bars on the screen show the forces instead.
+        recorded, or a device of an installed package. The devices mouse (default), touch, omni and
+        six-dof play no force; bars on the screen show the forces instead.
     address
         Address of a real device, as in the key hardware.address of a scene; default the usual
         address of the device.
     trials
         Number of comparisons of two forces; default 120.
     numbers
-        Number of forces that the person rates with a number; default 24.
+        Number of questions in which the person rates a force by a number; default 24.
     seed
-        Seed of the order of the questions or, with --population, of the random draws.
+        Seed for the order of the questions or, with --population, for the random draws.
     overwrite
         Replace the files of an earlier session.
     """
@@ -111,7 +111,7 @@ def _session(target: Path, name: str, plan: "Plan", answer: "Answer", *, overwri
 
     log = begin(target, name, plan, overwrite=overwrite)
     if log.repaired:
-        problems.print(f"{log.path} ended within a line: that trial is asked again")
+        problems.print(f"{log.path} ends in the middle of a line, so its last trial is asked again")
     if log.session.trial:
         problems.print(f"continuing at trial {log.session.trial + 1} of {log.path}")
     _ask_all(log, answer)
@@ -140,8 +140,8 @@ def _ask_all(log: "TrialLog", answer: "Answer") -> None:
     except (KeyboardInterrupt, StoppedError) as stopped:
         log.close()
         problems.print(
-            f"stopped after trial {read_log(log.path)[1].trial}: all are in {log.path}; the "
-            "same command continues there"
+            f"stopped after trial {read_log(log.path)[1].trial}. All answers are in {log.path}. "
+            "The same command continues the session"
         )
         # 130 is 128 plus the number of SIGINT, as shells expect.
         sys.exit(stopped.exit_code if isinstance(stopped, Terminated) else 130)

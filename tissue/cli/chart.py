@@ -27,19 +27,19 @@ def chart(
     Parameters
     ----------
     what
-        Names of scenes or TOML files (default all built-in scenes): draw tick time and force error
-        of each scene for many settings. `prediction` and scenes (default palpation, wall and
-        milling): draw the errors of all force predictors, each with its guard, in runs that were
-        not used for training.
+        Names of scenes or TOML files (default all built-in scenes), to draw tick time and force
+        error of each scene for many settings. Or the word `prediction` followed by scenes (default
+        palpation, wall and milling), to draw the errors of all guarded force predictors in runs
+        that were not used for training.
     out
         Output folder; default charts or charts/prediction.
     quick
-        Use fewer settings, shorter runs and a coarser reference solution. Not possible with
-        prediction.
+        Use fewer settings, shorter runs and a coarser reference solution. Not possible with the
+        argument `prediction`.
     trials
         Only with prediction: number of test runs of each scene; default 30.
     predictor_file
-        Only with prediction of one scene: file that `tissue train` wrote for this scene; default
+        Only with `prediction` and one scene: file that `tissue train` wrote for this scene; default
         the file that the scene names, or the built-in file.
     overwrite
         Replace the charts that the folder already holds.

@@ -35,10 +35,10 @@ def devices(
     seconds
         Duration of the measurement, in seconds; default 2.
     yes
-        Push the hand without a confirmation.
+        Skip the confirmation before the device pushes the hand.
     out
         TOML file to which the measured rate and latency are written. A scene uses these values if
-        its key materials names this file.
+        its key `materials` names this file.
     overwrite
         Replace an existing file.
     """

@@ -37,18 +37,18 @@ def fit(
         poses and forces over time, such as the trace of a run. The second kind is a table of steady
         loads of a drill with the columns thrust_N, torque_Nmm, feed_mm_min and spin_rpm; the fit
         then also reports which cutting laws are incompatible with the table. The third kind is a
-        table of presses of a ball on a slab with the columns depth_mm, force_N and optionally
-        probe, the number of the press.
+        table of presses of a ball on a slab. Its columns are depth_mm, force_N and, optionally,
+        probe (the number of the press).
     out
         Output folder; default fits/NAME.
     free
         Constants to fit, separated by commas: groups such as cutting.trabecular and cutting.edge,
         or full names. Default: all constants of the touched tissue that have a published range.
     column
-        Name and unit of a column of the log, if they differ from those of a trace:
-        NAME=COLUMN[:UNIT], such as force_x_N=-Fx:mN for the negative of column Fx in mN.
-        NAME=NUMBER sets a constant value. time_s=RATE:Hz sets the sampling rate of a log without
-        times. May be repeated.
+        NAME=COLUMN[:UNIT] assigns a column of the log whose name or unit differs from the trace,
+        such as force_x_N=-Fx:mN for the negative of column Fx in mN. NAME=NUMBER sets the quantity
+        NAME to a constant value. time_s=RATE:Hz sets the sampling rate of a log without times. May
+        be repeated.
     set_
         KEY=VALUE replaces an entry of the scene; may be repeated.
     cores

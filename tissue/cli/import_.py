@@ -21,18 +21,19 @@ class ImageOptions:
     labels
         Segmentation of the CT: label volume, folder of masks, DICOM SEG or RTSTRUCT.
     label_names
-        Table of the names of numbered labels: totalsegmentator, dentalsegmentator, verse,
-        toothfairy, or a TOML file; default the names in the label file.
+        Source of the names of numbered labels: totalsegmentator, dentalsegmentator, verse,
+        toothfairy, or a TOML file; default the label file.
     region
         Label of the bone or soft organ to import, such as scapula_left.
     crop
         X0,Y0,Z0,X1,Y1,Z1: two opposite corners of the box to which the CT is cropped, in mm.
     threshold
-        Image value above which a voxel is bone; default a suggestion from the histogram.
+        Image value above which a voxel is bone; default computed from the histogram.
     series
         Number of the DICOM series to read, if the folder contains several series.
     spacing_mm
-        S or X,Y,Z: voxel spacing in mm of files that do not contain it, such as TIFF slices.
+        S or X,Y,Z: voxel spacing in mm; needed for files that do not contain it, such as TIFF
+        slices.
     density
         Conversion of CT values to density: internal (calibration from tissues in the image), the
         name of a published law, or line:SLOPE,OFFSET; default internal if the image is suitable.
@@ -62,7 +63,7 @@ class SceneOptions:
     normal
         X,Y,Z: outward direction at a site that is given as a point; default the surface normal.
     coordinates
-        Coordinate system of the values of crop, site, normal and path.
+        Coordinate system of the options crop, site, normal and path.
     path
         Toolpath in mm: CSV, .mrk.json curve or G-code.
     feed_mm_s

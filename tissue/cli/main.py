@@ -70,8 +70,8 @@ PIPE_CLOSED = 141
 def open_streams() -> None:
     """Replace closed standard streams, and escape characters that a stream cannot encode.
 
-    Otherwise, the next file that is opened would get the file descriptor of the closed stream.
-    Libraries that print to this descriptor would then write into that file.
+    If a stream stayed closed, the next file that is opened would get its file descriptor. Libraries
+    that print to this descriptor would then write into that file.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:

@@ -96,18 +96,18 @@ class SceneOptions:
     Attributes
     ----------
     seed
-        Seed of all random draws: of the simulated hand in a run with a device, and of an
-        uncertainty band.
+        Seed of all random draws: those of the simulated hand in a run with a device, and those of
+        an uncertainty band.
     duration_s
-        Simulated time in seconds. Default: the duration of the motion. If a simulated hand moves
-        the tool and the time reaches the end of the motion, 0.73 s (expert) to 0.9 s (novice) are
-        added, in which the hand reacts and comes to rest.
+        Simulated time in seconds. Default: the duration of the motion. If a run with a simulated
+        hand reaches the end of the motion, 0.73 s (expert) to 0.9 s (novice) are added, so that the
+        hand can come to rest.
     set_
         KEY=VALUE replaces an entry of the scene, such as voxels.spacing_mm=0.2; may be repeated.
     fidelity
-        Requirement on the accuracy or the speed: force_error=0.03 (relative force error) or
-        tick_ms=0.7 (longest tick). The run uses settings that meet the requirement on this machine.
-        May be repeated.
+        Required accuracy or speed: force_error=0.03 (relative force error) or tick_ms=0.7 (longest
+        time per tick). The run uses settings that meet the requirement on this machine. May be
+        repeated.
     """
 
     seed: MaybeWhole = None
@@ -152,8 +152,8 @@ class FileOptions:
     out
         Output folder (default: runs/NAME).
     format_
-        Additional format of the trace: parquet, npz, mat or h5. Or recording: an HDF5 file in the
-        layout of the simulator volumetric_drilling. May be repeated.
+        Additional format of the trace: parquet, npz, mat or h5. The format `recording` is an HDF5
+        file in the layout of the simulator volumetric_drilling. May be repeated.
     pictures
         Format of the pictures: png, svg or pdf. In svg and pdf, lines and text are vectors; 3D
         views are images with 400 pixels per inch.
@@ -175,17 +175,18 @@ class BandOptions:
     Attributes
     ----------
     band
-        Number of samples of the material constants in their published ranges, such as 200. From
+        Number of samples, such as 200, of the material constants in their published ranges. From
         these samples, 50 and 90 % uncertainty bands of forces, torques and summary values are
         computed.
     workers
-        With --band: number of parallel processes, if each sample needs a run of its own.
+        With --band: number of parallel processes. It has an effect only if each sample needs its
+        own run.
     scheduler
         With --band: run the samples on the workers of the Dask scheduler at tcp://HOST:PORT or
         tls://HOST:PORT.
     each_run
         With --band: run the scene for every sample, instead of computing the loads of all samples
-        from one run. Only then do temperature and stress have bands too.
+        from one run. Bands of temperature and stress are computed only with this option.
     """
 
     band: MaybeWhole = None

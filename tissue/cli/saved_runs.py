@@ -36,8 +36,8 @@ def assess(
     force_limit_n
         Largest allowed force, in newtons; default 1.25 times the peak force of the reference run.
     deviation_limit_mm
-        Largest allowed distance from the path of the reference run, in mm; default 1. It applies
-        where the tool of either run touches the tissue.
+        Largest allowed distance from the path of the reference run, in mm; default 1. The limit
+        applies at positions where the tool of either run touches the tissue.
     overshoot_limit_mm
         Largest allowed distance of the tip below the deepest point of the reference run, in mm;
         default 0.5.
@@ -80,7 +80,7 @@ def compare(
     format_: Formats = (),
     overwrite: Flag = False,
 ) -> None:
-    """Compare scenes, results and forces of runs with the first run.
+    """Compare the scenes, results and forces of runs with those of the first run.
 
     Parameters
     ----------
@@ -89,12 +89,12 @@ def compare(
     out
         Folder for the picture and the table. Without this option, the results are only printed.
     over
-        Horizontal axis of the picture: time, or depth of the tool's tip below its first contact.
-        The default is depth if, for every tool, the depth exceeds half of the tip's path in
-        contact.
+        Horizontal axis of the picture: time, or depth of the tool's tip below its first contact,
+        for a needle along its axis. The default is depth if, in every run, the depth is more than
+        half of the length of the tip's path in contact.
     format_
-        Format of the picture: png, svg or pdf; default png. Or format of one table with the traces
-        of all runs: parquet, npz, mat or h5. May be repeated.
+        Format of the picture: png, svg or pdf; default png. The formats parquet, npz, mat and h5
+        write one table with the traces of all runs. May be repeated.
     overwrite
         Replace the comparison that the folder already holds.
     """
@@ -143,8 +143,8 @@ def report(
     out
         HTML file to write; default report.html in the folder of the run.
     against
-        Folder of a reference run. If it is given, the report also contains a comparison with this
-        run, as `tissue assess` makes it.
+        Folder of a reference run. If given, the report also contains the comparison of `tissue
+        assess` with this run.
     force_limit_n
         With --against: largest allowed force, in newtons; default 1.25 times the peak force of the
         reference run.

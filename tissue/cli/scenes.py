@@ -8,7 +8,7 @@ from tissue.cli.terminal import Flag, console, left_out
 
 
 def scenes(name: str | None = None, /, *, out: Path | None = None, overwrite: Flag = False) -> None:
-    """List the scenes that can be used by name, or print one as TOML for copying and editing.
+    """List the names of available scenes, or print one scene as TOML for copying and editing.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def scenes(name: str | None = None, /, *, out: Path | None = None, overwrite: Fl
 
 
 def schema(*, out: Path | None = None, overwrite: Flag = False) -> None:
-    """Print the JSON schema of scene files, with which editors complete and check keys.
+    """Print the JSON schema of scene files, which editors use to complete and check keys.
 
     Parameters
     ----------

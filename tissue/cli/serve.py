@@ -36,7 +36,7 @@ def serve(
     step_ms
         Simulated time of a step, in whole milliseconds.
     reach_mm
-        Distance from the path in the scene within which tissue is prepared, in mm; default 2. It is
+        Largest distance of the prepared tissue from the path in the scene, in mm; default 2. It is
         measured perpendicular to the axis of the tool. The tissue is prepared down to the deepest
         point of the path.
     """

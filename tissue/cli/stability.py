@@ -19,9 +19,9 @@ def stability(
     """Report the stability of the haptic device in a scene, or make the stability atlas.
 
     With a scene, the command reports whether the coupling between device and tool is stable. It
-    also computes a map of the largest stable stiffness over damping and delay. Without a scene, it
-    makes the atlas in about three minutes. Each page of the atlas shows a case in which one method
-    of force rendering fails.
+    also computes a map of the largest stable stiffness as a function of damping and delay. Without
+    a scene, it makes the atlas in about three minutes. Each page of the atlas shows a case in which
+    one method of force rendering fails.
 
     Parameters
     ----------
@@ -30,8 +30,8 @@ def stability(
     set_
         KEY=VALUE replaces an entry of the scene, such as device=six-dof; may be repeated.
     out
-        Output folder. With a scene: folder for the picture and the data of the map; default none.
-        For the atlas, the default is the folder atlas.
+        Output folder. With a scene, the picture and the data of the stability map are written to
+        it; default none. For the atlas, the default is the folder atlas.
     only
         Name of a page of the atlas, such as wall_map. Only this page is made. May be repeated.
     overwrite
@@ -92,7 +92,7 @@ def _atlas(folder: Path, only: tuple[str, ...], *, overwrite: bool) -> None:
     good = sum(entry.shown for entry in entries)
     seconds = sum(entry.took_s for entry in entries)
     console.print(
-        f"{good} of {len(entries)} pages show their boundary with the engine holding, "
-        "falling back or refusing; "
-        f"{seconds:.0f} s; open {folder / 'index.html'}"
+        f"{good} of {len(entries)} pages show the limit of their method, and that the engine stays "
+        "valid, falls back or refuses there. "
+        f"The pages took {seconds:.0f} s; open {folder / 'index.html'}"
     )

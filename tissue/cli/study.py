@@ -30,14 +30,14 @@ class PlanOptions:
     Attributes
     ----------
     trials
-        Number of trials for each task and group. A larger number than before extends an existing
-        study.
+        Number of trials for each task and group. If an existing study has fewer trials, the missing
+        trials are added.
     tasks
         Tasks: T1 (palpation), T2 (wall), T3 (milling), needle, reaming or drilling; default all.
     methods
         Methods of force rendering: penalty, energy, koopman, koopman-look-ahead, koopman-online,
-        koopman-perception, or the name of a registered predictor. Default: all but registered
-        predictors.
+        koopman-perception, or the name of a registered predictor. Default: all methods except
+        registered predictors.
     groups
         Groups of simulated hands: novice, intermediate or expert; default all.
     seed
@@ -51,7 +51,7 @@ class PlanOptions:
     seed: Whole = 0
 
     def plan(self) -> "Plan":
-        """Return the plan of a study that these options describe.
+        """Return the study plan that these options describe.
 
         A value of an option may contain several names, separated by commas.
         """
@@ -147,7 +147,7 @@ def run(
     for task in plan.tasks:
         took = sorted(trial.took_s for trial in kept if trial.key.task == task)
         console.print(
-            f"{task}: {took[len(took) // 2]:.1f} s a trial of "
+            f"{task}: median of {took[len(took) // 2]:.1f} s for a trial with "
             f"{counted(len(plan.methods), 'method')}"
         )
     if any("failure" not in row for trial in kept for row in trial.rows):
@@ -184,13 +184,13 @@ def register_plan(*, options: PlanOptions = PlanOptions(), out: Path | None = No
 def report(folder: Path, /) -> None:
     """Write tables, plots and their interpretation into the folder of a study.
 
-    The report contains the results of the project's paper for comparison.
+    For comparison, the report also contains the results of the project's paper.
 
     Parameters
     ----------
     folder
-        Folder of the study, written by `tissue study run`. For an unfinished study, the report is
-        based on the trials so far.
+        Folder of the study, written by `tissue study run`. For an unfinished study, the report uses
+        the trials that are complete so far.
     """
     with progress() as report:
         from tissue.evaluation.study.report import write_report

@@ -45,15 +45,15 @@ def sweep(
     compute
         Device that computes the kernels: cpu or cuda:0.
     cores
-        Processor cores for each run; default one, or all cores if there is one process.
+        Processor cores for each run. The default is one core, or all cores with a single process.
     pictures
         Draw the pictures of each run.
     format_
-        Format of the pictures: png, svg or pdf; default png. Or format of one table with the traces
-        of all runs: parquet, npz, mat or h5. May be repeated.
+        Format of the pictures: png, svg or pdf; default png. The formats parquet, npz, mat and h5
+        write one table with the traces of all runs. May be repeated.
     band
-        Number of samples of the material constants in their published ranges, such as 200. If it is
-        given, each run has uncertainty bands of 50 and 90 %.
+        Number of samples, such as 200, of the material constants in their published ranges. With
+        this option, each run has 50 % and 90 % uncertainty bands.
     overwrite
         Repeat finished runs.
     allow_unstable
@@ -98,7 +98,7 @@ def sweep(
 
 
 def parse_values(texts: Sequence[str]) -> dict[str, list[object]]:
-    """Parse texts such as ``key=value,value``; return the values, keyed by key.
+    """Parse texts such as ``key=value,value``; return a dict from each key to its values.
 
     A comma within brackets or quotes belongs to a value.
 

@@ -74,7 +74,7 @@ def print_table(
 
 
 def left_out(where: str, remedy: str, **flags: object) -> None:
-    """Raise an error if one of the `flags` is given in a situation where it has no effect.
+    """Raise an error if one of the `flags` is given although it has no effect.
 
     Raises
     ------

@@ -17,7 +17,7 @@ def train(
     cores: MaybeWhole = None,
     overwrite: Flag = False,
 ) -> None:
-    """Train a predictor of the force in a scene, and validate it on other runs.
+    """Train a predictor of the force in a scene, and validate it on runs not used for training.
 
     In the training runs, simulated hands of novices, intermediates and experts move the tool.
 
@@ -59,9 +59,9 @@ def train(
         advice += f" --set coupling.predictor_file={path}"
     lines = [
         f"{len(facts['delays'])} delays, {facts['samples']} samples",
-        f"error on {len(checked['held_out'])} run{'s' * (len(checked['held_out']) > 1)} held "
-        "out, % of the force, at "
-        f"{', '.join(map(str, checked['horizons_ms']))} ms:",
+        f"error on {len(checked['held_out'])} held-out "
+        f"run{'s' * (len(checked['held_out']) > 1)} in % of the force, "
+        f"{', '.join(map(str, checked['horizons_ms']))} ms ahead:",
         *(
             f"{kind:>18}  " + "  ".join(f"{100.0 * e:6.2f}" for e in errors)
             for kind, errors in checked["errors"].items()

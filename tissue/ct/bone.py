@@ -78,9 +78,9 @@ TABLES = ("voxels", "tool", "motion", "cutting", "output", "device", "fidelity")
 REMARKS = {
     "file": "mm, in the frame of the image (LPS)",
     "density_file": "apparent density, kg/m3",
-    "centre_mm": "the site, mm in the frame of the image (LPS); the motion is given from there",
-    "normal": "out of the bone: the site's z",
-    "along": "the site's x",
+    "centre_mm": "site in mm, in the frame of the image (LPS); origin of the motion",
+    "normal": "z axis of the site, out of the bone",
+    "along": "x axis of the site",
 }
 
 
@@ -182,8 +182,9 @@ class _BoneImport:
         self.law = _law(request.density.strip(), image, self.inspection)
         if self.law is None:
             self.sentences.append(
-                "density: unknown, for the values are not Hounsfield units; the bone gets a "
-                "shell of even thickness. Give --density line:SLOPE,OFFSET to use them"
+                "density: unknown, because the values are not Hounsfield units. The bone gets a "
+                "cortical shell of constant thickness. To use the values, give --density "
+                "line:SLOPE,OFFSET"
             )
         self.histogram = histogram_of(image.values)
         if (box := request.box_mm) is not None:

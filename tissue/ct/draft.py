@@ -35,13 +35,14 @@ class Draft:
     scene
         TOML of the scene.
     record
-        Measurements and assumptions of the import, as plain numbers.
+        Measured and assumed values of the import, as plain numbers.
     files
-        Function that writes each of the other files, keyed by file name. Pictures are last.
+        Functions that write the other files, one for each file, keyed by file name. Pictures are
+        last.
     sentences
         Description of the import for users.
     has_site
-        True if the scene contains the site that is needed for a run, or needs no site.
+        True if the scene contains the site that a run needs, or if a run needs no site.
     """
 
     scene: str
@@ -86,7 +87,7 @@ class Draft:
 
 
 def write_surface(surface: Surface, path: Path) -> None:
-    """Write a surface as binary PLY, with coordinates in mm in the frame of the surface."""
+    """Write a surface as binary PLY, with coordinates [mm] in the surface's own frame."""
     import pyvista
 
     mesh = pyvista.PolyData.from_regular_faces(1e3 * surface.vertices_m, surface.faces.astype(int))
@@ -97,7 +98,7 @@ def write_surface(surface: Surface, path: Path) -> None:
 def write_density(density: Image, path: Path, *, law: str) -> None:
     """Write densities as NRRD in LPS, rounded to 1 kg/m3.
 
-    `law` is a text on the origin and the uncertainty of the densities.
+    `law` is a text that describes the origin and the uncertainty of the densities.
     """
     _write_image(density, path, {"content": "apparent density kg/m3", LAW: law})
 
@@ -143,7 +144,7 @@ def scene_name(folder: Path) -> str:
 
 
 def scene_tables(scene: Scene, keys: Iterable[str]) -> dict[str, Any]:
-    """Return the given keys and tables of a scene, without values that equal the defaults.
+    """Return the given keys and tables of a scene, without values equal to their defaults.
 
     The duration is left out if the motion is a path of points, because a run then lasts as long as
     its path. A copied duration would stop the tool early on a longer path.

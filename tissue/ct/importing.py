@@ -25,7 +25,7 @@ class Imported:
     scene
         File of the scene.
     has_site
-        True if the scene contains the site that is needed for a run, or needs no site.
+        True if the scene contains the site that a run needs, or if a run needs no site.
     sentences
         Results and assumptions.
     """
@@ -72,8 +72,8 @@ def import_ct(
     Other Parameters
     ----------------
     labels : str or Path
-        Labels of the same CT: a label volume, a folder with one mask per label, TIFF, PNG or BMP
-        slices, or a DICOM segmentation (SEG) or structure set (RTSTRUCT).
+        Labels of the same CT: a label volume, a folder with one mask per label, a folder of TIFF,
+        PNG or BMP slices, a DICOM segmentation (SEG), or a DICOM structure set (RTSTRUCT).
     label_names : str
         Name of a set in `meshes.ct.label_names.label_sets`, such as ``totalsegmentator``,
         ``dentalsegmentator`` or ``verse``; or a TOML file. The table ``[labels]`` of the file
@@ -88,8 +88,8 @@ def import_ct(
     series : int
         Number of the series in a folder with several series.
     spacing_mm : float or three floats
-        Distance between neighbouring voxels [mm], in all directions or along each axis. Use it for
-        files that do not contain this distance, such as TIFF and PNG slices.
+        Distance between neighbouring voxels [mm], in all directions or along each axis. Use this
+        option for files that do not contain the spacing, such as TIFF and PNG slices.
     density : str
         Density law: ``internal``, a named law, or ``line:SLOPE,OFFSET``, see
         `meshes.ct.calibration.density_law`. Default: internal if the image allows it.
@@ -98,21 +98,23 @@ def import_ct(
         ``tooth``, ``tooth:lesion``, a point [mm], or a file of 3D Slicer markups. Default: the
         usual site for the name of the region.
     normal : point
-        Outward direction at a site given as a point. Default: the normal of the surface.
+        Outward direction at the site, if the site is given as a point. Default: the normal of the
+        surface.
     coordinates : {"LPS", "RAS"}
-        Frame of crop, site, normal and path: LPS as in DICOM, or RAS as in NIfTI and in the views
-        of 3D Slicer.
+        Frame of the options `crop_mm`, `site`, `normal` and `path`: LPS as in DICOM, or RAS as in
+        NIfTI and in the views of 3D Slicer.
     path : str or Path
         Toolpath in the frame of the image [mm]: CSV, markups curve or G-code, see
         `meshes.paths.toolpath.read_toolpath`.
     feed_mm_s : float
-        Speed in parts of the path without a speed [mm/s]. Default: 2.
+        Speed [mm/s] along parts of the path for which the file gives no speed. Default: 2.
     keep_clear : sequence of str
         Labels that the tool must not touch.
     like : str
         Scene that provides tool and motion. Default: the usual scene for the site.
     parts : mapping of str to float
-        Labels in a soft organ that become parts of the organ, with their Young's moduli [kPa].
+        Young's moduli [kPa] of structures in a soft organ, keyed by their label. Each structure
+        becomes a part of the organ.
 
     Raises
     ------

@@ -155,7 +155,9 @@ def _site(tooth: Labels, *, at_lesion: bool) -> tuple[Array, str]:
     middle = middle_of(image, pieces == 1 + int(np.argmax(counts)))
     sizes = np.sort(counts)[::-1]
     second = (
-        f"the second has {sizes[1] / sizes[0]:.1%} of it" if len(sizes) > 1 else "there is no other"
+        f"the second lesion has {sizes[1] / sizes[0]:.1%} of its volume"
+        if len(sizes) > 1
+        else "there is no other"
     )
     return (
         middle,

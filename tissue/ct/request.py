@@ -223,7 +223,7 @@ class ImportRequest:
         return tuple(low), tuple(high)
 
     def shown(self, point_m: Array) -> str:
-        """Return a point [m, LPS] as text in mm, in the coordinate system of the request."""
+        """Convert a point [m, LPS] to text in mm, in the coordinate system of the request."""
         point = self._lps(1e3 * point_m)  # LPS and RAS differ by the same two signs
         # adding zero removes the sign of a negative zero
         return f"{in_brackets((each + 0.0 for each in point), '.4g')} {self.coordinates}"
@@ -302,9 +302,9 @@ class Placed:
     site
         Centre and axes in the frame of the image.
     kind
-        Name of the site that was searched; None if the site was given as a point.
+        Name of the site that was searched for; None if the site was given as a point.
     articular_radius_mm
-        Distance from the site within which the surface belongs to a joint; 0 without a joint.
+        Radius around the site in which the surface belongs to a joint; 0 without a joint.
     """
 
     site: Site
@@ -313,7 +313,7 @@ class Placed:
 
 
 def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str]:
-    """Return the site on a surface that a request selects, and a sentence that describes it.
+    """Return the site that a request selects on a surface, and a sentence that describes the site.
 
     The site is None if the request names no site and the usual site is not found.
 
@@ -383,7 +383,7 @@ def _searched(kind: str, surface: Surface) -> tuple[Placed, str]:
     """Search for a site, and report its score and the score of the second-best site."""
     with names_of_caller(KEYS):
         found = find_site(kind, surface)
-    other = "no other place came near"
+    other = "no other place has a similar score"
     if found.second_centre_mm is not None:
         other = f"the next best place scores {found.second_score:.2f}"
     site = Placed(found.site, kind, JOINTS_MM.get(kind, 0.0))

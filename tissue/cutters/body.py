@@ -28,11 +28,12 @@ def outline_table(profile: Profile) -> dict[str, Array | Ints]:
     kind
         0 for a line, 1 for an arc, shape (pieces,).
     shape
-        Geometry of the pieces [m], shape (pieces, 10). Line: start, unit direction, length. Arc:
-        centre, radius, direction of the middle, cosine of the half angle, directions of the ends.
+        Geometry of the pieces [m], shape (pieces, 10). Columns of a line: start point, unit
+        direction, length, five zeros. Columns of an arc: centre, radius, unit direction to its
+        middle, cosine of half its angle, unit directions to its ends.
     first
-        Index of the first piece of each part, and at the end the number of all pieces, shape (parts
-        + 1,).
+        Index of the first piece of each part, followed by the number of all pieces, shape (parts +
+        1,).
     convex
         1 if a part is convex, shape (parts,).
     """
@@ -60,9 +61,8 @@ def _row(piece: Piece) -> list[float]:
 def convex_parts(profile: Profile) -> list[tuple[Piece, ...]]:
     """Split a tool at its guide peg, and return the outline of each part.
 
-    The union of the parts is the tool, because the part of the peg extends through the cutter to
-    the top of the cutter. A tool without a peg is one part. The parts of all built-in cutters are
-    convex.
+    The union of the parts is the tool, because the peg's part extends through the cutter up to the
+    cutter's top. A tool without a peg is one part. The parts of all built-in cutters are convex.
     """
     pieces = profile.pieces
     first = next((k for k, piece in enumerate(pieces) if piece.cutting), 0)
@@ -121,16 +121,16 @@ TOUCH_M = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class MedialAxis:
-    """Segments of the medial axis of a half section.
+    """Segments of the medial axis of a tool's half section.
 
     Attributes
     ----------
     starts_m, ends_m
-        Radius, height and ball radius at the two ends of each segment [m], shape (segments, 3). The
-        ball radius is linear along a segment.
+        Distance from the tool's axis, height, and radius of the inscribed ball at the two ends of
+        each segment [m], shape (segments, 3). The ball radius is linear along a segment.
     across
-        1 if no single part of `convex_parts` contains all balls of the segment, shape (segments,).
-        This occurs where a peg joins the cutter.
+        1 if a ball of the segment extends beyond every single part of `convex_parts`, else 0; shape
+        (segments,). Such segments occur where a peg joins the cutter.
     """
 
     starts_m: Array
@@ -141,10 +141,10 @@ class MedialAxis:
 def medial_axis(profile: Profile, *, straight_m: float = STRAIGHT_M) -> MedialAxis:
     """Compute the medial axis of a half section.
 
-    The polylines deviate by at most `straight_m` from the true axis [m], see `STRAIGHT_M`.
-    The medial axis consists of the centres of the largest inscribed balls, which touch the outline.
-    At samples of the outline, a bisection finds the largest ball that touches the outline there
-    from inside.
+    The axis is approximated by polylines that deviate from it by at most `straight_m` [m], see
+    `STRAIGHT_M`. The medial axis consists of the centres of the largest inscribed balls, which
+    touch the outline. For each sample point of the outline, a bisection finds the largest inscribed
+    ball that touches this point.
     """
     chains = [_chain(profile, touch, straight_m) for touch in _touches(profile.pieces)]
     starts = np.concatenate([chain[:-1] for chain in chains])

@@ -10,7 +10,7 @@ import numpy as np
 
 from kernels.revolution import EDGE_BEND
 from meshes.base.arrays import Array, Ints, Singles, lattice
-from meshes.base.cache import Kept
+from meshes.base.cache import RecentResults
 from meshes.base.errors import counted
 from meshes.base.hints import suggests_arguments
 from tissue.cutters.profile import Piece, Profile
@@ -76,7 +76,7 @@ class PointShell:
 
 @dataclass(frozen=True)
 class DistanceTable:
-    """Signed distance [voxel] as a function of radius and height [voxel].
+    """Signed distance from a cutter's surface [voxel] as a function of radius and height [voxel].
 
     The arrays are used by `kernels.revolution.Revolution`.
     """
@@ -91,10 +91,11 @@ class DistanceTable:
     high: float
 
     def bend_at(self, radius: Array, height: Array) -> Singles:
-        """Return a sixth of the sum of the principal curvatures [1/voxel] at points, shape (n,).
+        """Return a sixth of the sum of the principal curvatures at points [1/voxel], shape (n,).
 
-        The points are given by radius and height above the tip [voxel]. Near an edge of the
-        profile, the value is `kernels.revolution.EDGE_BEND`.
+        The curvatures are those of the cutter's offset surface through each point. The points are
+        given by radius and height above the tip [voxel]. Near an edge of the profile, the value is
+        `kernels.revolution.EDGE_BEND`.
         """
         u = radius * self.cells_per_voxel
         v = (height - self.height_min) * self.cells_per_voxel
@@ -114,9 +115,9 @@ class Cutter:
     flute_count
         Number N of cutting edges around the axis.
     spin_rad_s
-        Angular velocity about the axis [rad/s], positive by the right-hand rule for the axis from
-        tip to shank. A common right-hand drill or mill turns clockwise as seen from its shank, so
-        its spin is negative. A cutting tool has a non-zero spin.
+        Angular velocity [rad/s]. It is positive for a right-handed rotation about the axis from tip
+        to shank. A common right-hand drill or mill turns clockwise as seen from its shank, so its
+        spin is negative. The spin of a tool that cuts must not be zero.
     """
 
     profile: Profile
@@ -133,7 +134,7 @@ class Cutter:
 
     @property
     def chip_per_speed_s(self) -> float:
-        """Ratio of chip thickness to the feed speed normal to the surface, 2 pi / (N omega) [s].
+        """Chip thickness divided by the feed velocity normal to the surface, 2 pi / (N omega) [s].
 
         N is `flute_count`, and omega is the magnitude of `spin_rad_s`.
         """
@@ -154,11 +155,12 @@ class Cutter:
 
         The smooth surface, which does not cut, is used if `cutting` is False.
 
-        The distance between elements is about ``spacing_m``, and smaller near the axis. On each
+        The distance between elements is about ``spacing_m``; near the axis it is smaller. On each
         piece of the profile, the elements form a Fibonacci lattice: a spiral with the golden angle
         between consecutive elements. On a piece that is not flat, the elements lie at different
-        heights, so the rim of a cut never reaches many elements at once. As the spacing decreases,
-        sums over part of the surface converge almost as fast as sums over the whole surface.
+        heights. The edge of a cut region therefore never passes many elements at the same time. As
+        the spacing decreases, sums over the elements of a part converge almost as fast as sums over
+        all elements.
         """
         key = self.profile, spacing_m, cutting
         return _shells.of(key, lambda: self._shell(spacing_m, cutting))
@@ -166,7 +168,8 @@ class Cutter:
     def coarse_shell_m(self, *, cutting: bool = True) -> Array:
         """Return a few points of the cutting or the smooth surface [m], shape (n, 3).
 
-        The simulated region contains these points along the planned motion.
+        The simulated region is chosen so that it contains these points throughout the planned
+        motion.
         """
         if not cutting and not self.has_smooth_surface:
             return np.zeros((0, 3))
@@ -175,14 +178,14 @@ class Cutter:
         return self.shell(spacing_m=self.profile.radius_m / 8.0, cutting=cutting).points_m
 
     def coarse_surface_m(self) -> Array:
-        """Return a few points of the cutting surface, then of the smooth surface [m], shape (n, 3).
+        """Return a few points of the cutting and then of the smooth surface [m], shape (n, 3).
 
         See `coarse_shell_m`.
         """
         return np.concatenate([self.coarse_shell_m(), self.coarse_shell_m(cutting=False)])
 
     def load_factors(self, radii_m: Array) -> Array:
-        """Return factors of the tangential and the radial load, shape (n, 2).
+        """Return the factors that multiply the tangential and the radial load, shape (n, 2).
 
         `radii_m` contains the distances of the n elements from the axis [m].
 
@@ -250,8 +253,8 @@ class Cutter:
         )
 
 
-_tables: Kept[DistanceTable] = Kept(8)
-_shells: Kept[PointShell] = Kept(8)
+_tables: RecentResults[DistanceTable] = RecentResults(8)
+_shells: RecentResults[PointShell] = RecentResults(8)
 """Cache of point shells, keyed by profile and spacing of elements.
 
 `_tables` is the cache of distance tables, keyed by profile and spacing of voxels.

@@ -29,7 +29,9 @@ AXIS_M = 1e-9
 @suggests_arguments
 @dataclass(frozen=True)
 class Line:
-    """Straight piece from ``start`` to ``end``, each (radius, height) [m].
+    """Straight piece from the point ``start`` to the point ``end``.
+
+    Each point is a pair (radius, height) [m].
 
     ``cutting`` is True if the piece has cutting edges.
     """
@@ -61,12 +63,11 @@ class Line:
         )
 
     def seen_from(self, points: Array) -> tuple[Array, Array]:
-        """Return distances [m] of points from this piece, and curvatures [1/m], shape (n,) each.
+        """Return distances from this piece [m] and offset-curve curvatures [1/m], shape (n,) each.
 
         ``points`` contains (radius, height) [m], shape (n, 2).
 
-        The curvature at a point is the curvature of the offset curve of the piece through this
-        point.
+        Each curvature is that of the piece's offset curve through the point.
         """
         a = np.asarray(self.start)
         b = np.asarray(self.end)
@@ -89,8 +90,8 @@ class Line:
 class Arc:
     """Circular piece around ``centre`` from angle ``first`` to ``last`` [rad].
 
-    An angle of 0 points away from the tool's axis, and -pi/2 points down, as from a ball's centre
-    to the tip.
+    At angle 0, the direction points away from the tool's axis. At -pi/2 it points down, like the
+    direction from a ball's centre to the tip.
     """
 
     centre: tuple[float, float]
@@ -120,11 +121,11 @@ class Arc:
         return np.asarray(self.centre) + self.radius * normal, normal
 
     def seen_from(self, points: Array) -> tuple[Array, Array]:
-        """Return distances [m] of points from this arc, and curvatures [1/m], shape (n,) each.
+        """Return distances from this arc [m] and offset-curve curvatures [1/m], shape (n,) each.
 
         ``points`` contains (radius, height) [m], shape (n, 2).
 
-        The curvature at a point is the curvature of the offset curve of the arc through this point.
+        Each curvature is that of the arc's offset curve through the point.
         """
         from_centre = points - np.asarray(self.centre)
         reach = np.linalg.norm(from_centre, axis=1)
@@ -140,9 +141,10 @@ class Arc:
         return distance, 1.0 / np.maximum(np.where(within, reach, to_ends), 1e-12)
 
     def corners(self) -> list[tuple[float, float]]:
-        """Return the corners [m] of a polygon along the arc, without the end of the arc.
+        """Return the corners (radius, height) [m] of a polygon along the arc.
 
-        The distance between polygon and arc is at most 1e-5 of the radius.
+        The end of the arc is left out, because it is the start of the next piece. The distance
+        between polygon and arc is at most 1e-5 of the radius.
         """
         # The largest distance between a chord of 0.009 rad and the arc is 1e-5 of its radius.
         share = np.linspace(0.0, 1.0, max(int((self.last - self.first) / 0.009), 2), endpoint=False)
@@ -186,7 +188,7 @@ class Profile:
     def edges(self) -> Array:
         """Points (radius, height) [m] at which the outline is not smooth, shape (n, 2).
 
-        At the axis, the outline is smooth if it joins its mirror image without a corner.
+        At the axis, the outline counts as smooth if it meets its mirror image without a corner.
         """
         ends = np.array([0.0, 1.0])
         starts = [piece.at(ends) for piece in self.pieces]
@@ -203,10 +205,11 @@ class Profile:
         return np.array(found).reshape(-1, 2)
 
     def distance(self, points: Array) -> tuple[Array, Array]:
-        """Return the signed distance [m], negative inside, and the meridional curvature [1/m].
+        """Return the signed distance from the outline [m], and the meridional curvature [1/m].
 
-        Both are evaluated at ``points``, which contains (radius, height) [m], shape (n, 2). The
-        curvature at a point is the curvature of the offset curve of the outline through this point.
+        The distance is negative inside. Both are evaluated at ``points``, which contains (radius,
+        height) [m], shape (n, 2). Each curvature is that of the outline's offset curve through the
+        point.
         """
         seen = [piece.seen_from(points) for piece in self.pieces]
         distances = np.stack([distance for distance, _ in seen])
@@ -234,7 +237,7 @@ def _inside(outline: Array, points: Array) -> Flags:
 
 
 def ball_burr(*, diameter_m: float) -> Profile:
-    """Return a ball burr, whose tip is the lowest point of the ball."""
+    """Return a ball burr with its tip at the lowest point of the ball."""
     r = 0.5 * diameter_m
     return Profile((Arc((0.0, r), r, -0.5 * pi, 0.5 * pi),), convex=True)
 
@@ -263,8 +266,8 @@ def twist_drill(
     """Return a twist drill with conical lips and a cylindrical margin.
 
     ``point_angle_rad`` is the included angle of the lips. With a web, the drill has a chisel edge
-    and its rake varies along the lips. A web of None is `WEB` times the diameter. Without a web,
-    the lips reach the axis and have a constant rake.
+    and its rake varies along the lips. If ``web_m`` is None, the web is `WEB` times the diameter.
+    Without a web, the lips reach the axis and have a constant rake.
     """
     r = 0.5 * diameter_m
     web_m = WEB * diameter_m if web_m is None else web_m
@@ -325,7 +328,7 @@ def flat_reamer(
 
 
 def pear_bur(*, diameter_m: float, length_m: float) -> Profile:
-    """Return a pear-shaped bur: a ball at the tip, and a taper to half its diameter at the neck."""
+    """Return a pear-shaped bur: a ball at the tip, and a taper to half the ball's diameter."""
     r = 0.5 * diameter_m
     slope = float(np.arctan2(0.5 * r, length_m - r))  # angle of the flank to the axis
     flank = Line((r * cos(slope), r + r * sin(slope)), (0.5 * r, length_m))

@@ -66,12 +66,13 @@ def twist_drill(
     flutes: int = 2,
     spin_rpm: float,
 ) -> Cutter:
-    """Return a twist drill with the length `length_mm` [mm] and a point angle of 60 to 170 degrees.
+    """Return a twist drill with a given length and point angle.
 
+    `length_mm` is the length [mm], and `point_angle_deg` is the point angle, 60 to 170 degrees.
     `web_mm` is the thickness of the web [mm], at most half the diameter. The web forms a chisel
-    edge. Default: 18 % of the diameter. With a web of 0, the lips reach the axis and have a
-    constant rake. `helix_deg` is the helix angle of the flutes, 0 to 60 degrees. For the other
-    parameters see `ball_burr`.
+    edge. The default of `web_mm` is 18 % of the diameter. With a web of 0, the lips reach the axis
+    and have a constant rake. `helix_deg` is the helix angle of the flutes, 0 to 60 degrees. For the
+    other parameters see `ball_burr`.
     """
     angle = radians(
         require_range("point_angle_deg", point_angle_deg, 60.0, 170.0, "use a value such as 118")

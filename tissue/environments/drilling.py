@@ -54,13 +54,13 @@ class Drilling(BoneEnvironment):
     """Drill through the enamel of a molar, stop 0.5 mm into the dentin, and withdraw.
 
     A round bur of 1 mm diameter at 400,000 revolutions per minute moves straight down. The
-    resistance decreases where the enamel ends. No observation shows the depth of the junction of
-    enamel and dentin directly. Each episode draws a position on the occlusal surface, and the
-    densities of enamel and dentin. The densities change the cutting forces.
+    resistance decreases where the enamel ends. The observation does not contain the depth of the
+    enamel-dentin junction. In each episode, a position on the occlusal surface and the densities of
+    enamel and dentin are random. The densities change the cutting forces.
 
-    **Action**, 1 number in [-1, 1]: thrust of the hand along the bur, multiplied by 3 N, positive
-    downwards. The motion of the bur is computed from the balance of thrust, cutting force, inertia
-    of 0.1 kg and damping. In air, the damping limits the speed of the bur to 10 mm/s at 3 N.
+    **Action**, 1 number in [-1, 1]: the hand's thrust along the bur, in units of 3 N, positive
+    downwards. The motion of the bur follows from thrust, cutting force, damping and a mass of 0.1
+    kg. In air, the damping limits the speed of the bur to 10 mm/s at 3 N.
 
     **Observation**, see `entries`: depth of the tip below the surface at the drawn position,
     largest depth so far, downward velocity, force and torque on the bur, removed volume, and
@@ -73,8 +73,8 @@ class Drilling(BoneEnvironment):
     Here ``deepest`` is the largest depth so far. The target depth d is measured on the axis of the
     bur, from the surface to 0.5 mm below the junction. ``reward_terms`` contains the two parts of
     the potential as ``progress`` and ``overdepth``. The score is the sum of rewards in an episode.
-    It is at most 1; without any action it is -0.1. An episode ends when the bur has cut and is
-    again 0.8 mm above the surface, or when it is 1 mm below the target depth. An episode is
+    It is at most 1; without any action it is -0.1. An episode ends when the bur is back at 0.8 mm
+    above the surface after cutting, or when it is 1 mm below the target depth. An episode is
     truncated after 5 s. Force above 2 N reduces the reward. Heat is not modelled.
 
     Parameters

@@ -46,8 +46,8 @@ class Entry:
     name
         Name of the quantity.
     scale
-        Value of the quantity, in `unit`, that is shown as 1 in the observation. Larger values are
-        clipped to 1.
+        Value of the quantity, in `unit`, that corresponds to 1 in the observation. Larger values
+        are clipped to 1.
     unit
         Unit of the scale.
     count
@@ -65,18 +65,19 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 
     The environment object is also the `Motion` that moves the tool in the simulation.
 
-    In a step, one action is applied for `ticks` ticks of 1 ms. The entries of an action lie in [-1,
-    1]. The observation consists of the values of `entries`, each divided by its scale and clipped
-    to [-1, 1]. Loads are means over the step. The reward of a step is::
+    In a step, one action is applied for `ticks` ticks, each of 1 ms. The numbers of an action lie
+    in [-1, 1]. The observation consists of the values of `entries`, each divided by its scale and
+    clipped to [-1, 1]. Forces and torques in the observation are means over the step. The reward of
+    a step is::
 
         P(after) - P(before)
             - 1.0 / M * sum over the ticks of max(0, F / limit - 1)
             - 0.1 * ticks / M
 
     Here P is the potential of the task, and F is the magnitude of the contact force in a tick of
-    the step. M is the number of ticks of a whole episode. ``info`` contains the parts of the reward
-    in ``reward_terms`` and the random draws of the episode in ``drawn``. It also contains the
-    largest force of the step in ``peak_force_N``, and the sum of rewards so far in ``score``.
+    the step. M is the number of ticks of a whole episode. ``info`` has the keys ``reward_terms``
+    (parts of the reward) and ``drawn`` (random draws of the episode). It also contains the largest
+    force of the step in ``peak_force_N``, and the sum of rewards so far in ``score``.
 
     Parameters
     ----------
@@ -138,7 +139,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 
     @cached_property
     def stepper(self) -> Stepper:
-        """Object that advances motion and tissue by ticks; it is made at the first reset."""
+        """Object that advances the motion and the tissue tick by tick, made at the first reset."""
         return Stepper(self, self.model, balances=self.balances)
 
     @property
@@ -236,7 +237,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         """Return a copy of the state, which can be pickled.
 
         The state contains the tissue, the tool, the episode and the random generator. The state can
-        be restored in an environment that was made with equal arguments.
+        be restored in any environment made with the same arguments.
         """
         self._require_episode("snapshot")
         return {
@@ -246,7 +247,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
         }
 
     def restore(self, snapshot: State) -> None:
-        """Restore a snapshot of this environment, or of another one with equal arguments."""
+        """Restore a snapshot of this environment, or of another with the same arguments."""
         self.drawn = dict(snapshot["own"]["drawn"])
         self._prepare()
         put_back(self, snapshot["own"])
@@ -260,7 +261,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 
     @property
     def time_left(self) -> float:
-        """Share of the episode's duration that is left, from 1 to 0."""
+        """Remaining share of the episode's duration, from 1 (start) to 0 (end)."""
         return 1.0 - self._done_steps / self._steps
 
     @property
@@ -382,7 +383,7 @@ class BoneEnvironment(ContactEnvironment):
         return model
 
     def restore_bone(self, density_kg_m3: Mapping[str, float]) -> None:
-        """Restore the bone before any cut, and set the densities [kg/m3] of the given layers."""
+        """Restore the uncut bone, and set the densities [kg/m3] of the given layers."""
         names = self.model.store.grid.layer_names
         self.model.restore(self._uncut)
         layer = self._material & LAYER_BITS

@@ -45,13 +45,13 @@ class Milling(BoneEnvironment):
 
     A ball burr of 4 mm diameter rotates at 20,000 revolutions per minute above a block whose top is
     at z = 0. The pocket is the volume that the burr sweeps if its tip covers a rectangle of 4 x 2
-    mm at a depth of 0.8 mm. A margin of 0.25 mm on both sides of the wall of the pocket counts
+    mm at a depth of 0.8 mm. Bone within 0.25 mm of the wall of the pocket, on either side, counts
     neither as target nor as overcut. The tool follows the commanded velocity exactly. Each episode
     draws the density of the bone and the start position of the tool.
 
-    **Action**, 3 numbers in [-1, 1]: velocity of the tip along x, y and z, multiplied by 10 mm/s. A
-    virtual fixture keeps the tip within 2.75 mm of the middle along x, and within 1.75 mm along y.
-    Along z, the tip stays between 2 mm above and 1.1 mm below the surface of the bone.
+    **Action**, 3 numbers in [-1, 1]: velocity of the tip along x, y and z, in units of 10 mm/s. A
+    virtual fixture keeps the tip within 2.75 mm of the pocket's centre along x, and within 1.75 mm
+    along y. Along z, the tip stays between 2 mm above and 1.1 mm below the surface of the bone.
 
     **Observation**, see `entries`: position of the tip relative to the middle of the pocket's
     opening, velocity of the tip, force and torque on the tool, vector from the tip to the nearest
@@ -60,7 +60,7 @@ class Milling(BoneEnvironment):
 
     **Reward**, see `ContactEnvironment`, with the potential::
 
-        P = (volume removed of the target - volume removed beyond the tolerance)
+        P = (removed volume in the target - removed volume beyond the margin)
             / volume of the target
 
     ``reward_terms`` contains the two parts of the potential as ``progress`` and ``overcut``. The
@@ -143,7 +143,7 @@ class Milling(BoneEnvironment):
         motion.speed_m_s = 0.0
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Move the tip with the commanded velocity, but not beyond its limits of position."""
+        """Move the tip with the commanded velocity, but keep its position within the limits."""
         wanted = motion.tip_m + 1e-3 * self.top_speed_mm_s * step_s * self._command
         moved = np.clip(wanted, *(1e-3 * self.reach_mm)) - motion.tip_m
         length = float(np.sqrt(moved.dot(moved)))

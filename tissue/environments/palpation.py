@@ -8,7 +8,7 @@ import numpy as np
 from meshes.base.arrays import Array, Singles
 from meshes.organs.liver import Nodule, slab, slab_base
 from tissue.environments.environment import ContactEnvironment, Entry
-from tissue.models.organ.model import ContactSolution, LiverModel
+from tissue.models.organ.model import ContactSolution, OrganModel
 from tissue.models.organ.probe import SphereProbe
 from tissue.models.organ.soft_organ import ToolPath
 from tissue.models.tissue_model import Response, ToolMotion
@@ -65,12 +65,12 @@ class Palpation(ContactEnvironment):
     with a friction coefficient of 0.1. A nodule of 16 mm diameter, 20 times as stiff as the tissue,
     lies 5 mm below the surface. Its lateral distance from the start position of the tip is 10 to 18
     mm. Each episode draws the modulus of the tissue, the distance and direction of the nodule, and
-    the rotation of the slab. All forces are proportional to the modulus. The origin of the frame is
-    on the surface, at the lateral position of the start.
+    the rotation of the slab. All forces are proportional to the modulus. The origin of the
+    coordinate frame is on the surface, at the lateral start position of the tip.
 
-    **Action**, 3 numbers in [-1, 1]: velocity of the tip, multiplied by 60 mm/s along x and y, and
-    by 30 mm/s along z. The tip stays within a lateral distance of 22 mm from the start, and between
-    3 mm above and 3 mm below the surface.
+    **Action**, 3 numbers in [-1, 1]: velocity of the tip, in units of 60 mm/s along x and y, and 30
+    mm/s along z. The tip stays within a lateral distance of 22 mm from the start, and between 3 mm
+    above and 3 mm below the surface.
 
     **Observation**, see `entries`: position and velocity of the tip, force and torque on the
     tip, and remaining time.
@@ -79,11 +79,12 @@ class Palpation(ContactEnvironment):
 
         P = max(0, 1 - d / 10 mm)
 
-    Here d is the lateral distance between tip and nodule. The potential is 0 at the start, and is
-    the entry ``progress`` of ``reward_terms``. The score is the sum of rewards in an episode. It is
-    at most 1; without any action it is -0.1. An episode ends when the tip has touched the tissue
-    and is again 3 mm above the surface. An episode is truncated after 6 s. The position of the tip
-    at the end is the estimate of the nodule's position. Force above 0.4 N reduces the reward.
+    Here d is the lateral distance between tip and nodule. The potential is 0 at the start. It is
+    the value ``progress`` in ``reward_terms``. The score is the sum of rewards in an episode. It is
+    at most 1; without any action it is -0.1. An episode ends when the tip, after touching the
+    tissue, is back at 3 mm above the surface. An episode is truncated after 6 s. The position of
+    the tip at the end is the estimate of the nodule's position. Force above 0.4 N reduces the
+    reward.
 
     Parameters
     ----------
@@ -130,7 +131,7 @@ class Palpation(ContactEnvironment):
         self._touched = False
 
     @cached_property
-    def model(self) -> LiverModel:
+    def model(self) -> OrganModel:
         """Model of the slab under the fingertip; made at the first reset.
 
         The compliance of the slab is kept in a cache on disk.
@@ -156,7 +157,7 @@ class Palpation(ContactEnvironment):
         organ = material.organ(mesh, slab_base(mesh))
         path = ToolPath(SphereProbe(BALL_RADIUS_M), tips, turns)
         # One core is used, because environments run in parallel.
-        return LiverModel(organ, path, ContactSolution("condensed", cores=1))
+        return OrganModel(organ, path, ContactSolution("condensed", cores=1))
 
     def _prepare(self) -> None:
         bearing, turn = (np.deg2rad(self.drawn[name]) for name in ("bearing_deg", "turn_deg"))
@@ -171,7 +172,7 @@ class Palpation(ContactEnvironment):
         self._touched = False
 
     def begin(self, motion: ToolMotion) -> None:
-        """Place the tool at the current position of the tip, in the frame of the slab.
+        """Place the tool at the tip position, converted to the frame of the slab.
 
         The nodule lies below the origin of this frame.
         """
@@ -179,7 +180,7 @@ class Palpation(ContactEnvironment):
         np.dot(self._turn, away, out=motion.tip_m)
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Move the tip with the commanded velocity, but not beyond its limits of position."""
+        """Move the tip with the commanded velocity, but keep its position within the limits."""
         wanted = self.tip_m + TOP_SPEED_M_S * step_s * self._command
         aside = float(np.hypot(wanted[0], wanted[1]))
         if aside > REACH_M:

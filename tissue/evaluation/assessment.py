@@ -67,7 +67,7 @@ class NoSharedContactError(InputError):
 
 @dataclass(frozen=True)
 class Breach:
-    """Time span in which a quantity of the trainee's run is beyond its limit."""
+    """Time span in which an assessed quantity is beyond its limit in the trainee's run."""
 
     what: str
     start_s: float
@@ -79,7 +79,7 @@ class Breach:
 
     @property
     def sentence(self) -> str:
-        """Times of the breach, its limit and the worst value, in words."""
+        """Start, end, limit and worst value of the breach, as a sentence."""
         # the worst value lies beyond the limit
         side = "above" if self.worst > self.limit else "below"
         return (
@@ -102,11 +102,11 @@ class Quantity:
     limit
         Limit of the values.
     reference
-        Value in the reference run at the place that corresponds to each tick of the trainee's run,
-        shape (ticks,). NaN for ticks without such a place. None if the quantity has no value in the
-        reference run.
+        For each tick of the trainee's run, the value in the reference run at the corresponding
+        place, shape (ticks,). NaN for ticks of the trainee's run with no corresponding place. None
+        for a quantity, such as the deviation, that does not exist in the reference run.
     limited
-        True for ticks in which the limit applies, shape (ticks,). None if all ticks have the limit.
+        True for ticks in which the limit applies, shape (ticks,). None if it applies in all ticks.
     is_minimum
         True if the limit is the smallest allowed value instead of the largest.
     """
@@ -150,8 +150,8 @@ class Assessment:
     steadiness
         Tremor and score of the trainee's hand. None if the run has no score.
     figures
-        Results, keyed by name; the name of a numerical result ends with its unit. A result of both
-        runs is a dict {"trainee": ..., "reference": ...}.
+        Results, keyed by name; the name of a numerical result ends with its unit. A result that
+        exists for both runs is a dict {"trainee": ..., "reference": ...}.
     breaches
         Time spans in which a limit was exceeded, in chronological order.
     events
@@ -163,11 +163,10 @@ class Assessment:
         Times of the trainee's ticks [s], shape (ticks,).
     deviation, force, depth
         The three assessed quantities: distance [mm] between the tool and the path of the reference
-        run, magnitude of the force [N], and depth [mm]. The depth is measured along the mean tool
-        axis of the reference run, from the place of the first contact in that run.
+        run, magnitude of the force [N], and depth [mm]. The depth is measured from the point of
+        first contact in the reference run, along the mean direction of the tool's axis in that run.
     notes
-        One sentence for each difference between the two runs that limits the comparison of
-        `figures`.
+        One sentence for each difference between the two runs that makes `figures` less comparable.
     unscored
         Reason why the run has no score. Empty if the run has a score.
     clearances
@@ -204,9 +203,9 @@ def assess(
 ) -> Assessment:
     """Compare a run with a reference run of the same task.
 
-    The runs are aligned by place, not by time. For each tick of the trainee's run, dynamic time
-    warping (Sakoe and Chiba 1978) of the two tool paths finds the corresponding tick of the
-    reference run. A pause of the trainee is therefore not an error.
+    The runs are aligned by the position of the tool, not by time. For each tick of the trainee's
+    run, dynamic time warping (Sakoe and Chiba 1978) of the two tool paths finds the corresponding
+    tick of the reference run. A pause of the trainee is therefore not an error.
 
     The score rates the steadiness of the hand (see `tissue.evaluation.steadiness`). Distances from
     the path and forces do not affect the score, because they depend more on the device than on the
@@ -224,8 +223,8 @@ def assess(
         Limit of the force on the tool [N]. Default: 1.25 times the peak force of the reference run.
     deviation_limit_mm
         Limit of the distance from the path of the reference run [mm]. The limit applies only in
-        ticks with contact: either the trainee's tool touches the tissue, or the tool of the
-        reference run does at the corresponding place.
+        ticks in which the trainee's tool touches the tissue, or the reference tool touches it at
+        the corresponding place.
     overshoot_limit_mm
         Allowed depth [mm] of the tip below the deepest point of the tip in the reference run.
 
@@ -237,7 +236,8 @@ def assess(
     OtherTaskError
         If the runs have different tasks (another anatomy, tool or material).
     NoSharedContactError
-        If the trainee's run has no contact, or the two runs have no contact at common places.
+        If the trainee's run has no contact, or if the reference run has no contact at the
+        corresponding places.
     """
     require_same_task(trainee, reference)
     mine = _trace(trainee, "run")
@@ -378,9 +378,9 @@ def _events_not_in(other: AssessedRun, run: AssessedRun) -> tuple[tuple[float, s
 
 
 def without_numbers(sentence: str) -> str:
-    """Return a sentence with "…" for each number.
+    """Return a sentence in which each number is replaced by "…".
 
-    Equal events of two runs then have equal sentences.
+    The same event in two runs then has the same sentence.
     """
     return NUMBER.sub("…", sentence)
 
@@ -508,7 +508,7 @@ def _approach(trace: Table) -> tuple[Array, Array]:
 
 
 def path_note(summary: Summary) -> str:
-    """Return the reason why a run did not finish its path, empty for a finished path."""
+    """Return the reason why a run did not finish its path; empty for a finished path."""
     notes = summary.get("notes")
     text = str(notes.get("path", "")) if isinstance(notes, Mapping) else ""
     return text if text.startswith("not finished") else ""

@@ -36,8 +36,8 @@ def assessment_lines(found: Assessment) -> list[str]:
     return [
         f"no score: {found.unscored}" if hand is None else _score_line(hand),
         (
-            f"path: {apart['mean']:.2f} mm off on average, {apart['worst']:.2f} at "
-            f"{apart['worst_at_s']:.3f} s"
+            f"path: mean distance from the path {apart['mean']:.2f} mm, largest "
+            f"{apart['worst']:.2f} mm at {apart['worst_at_s']:.3f} s"
         ),
         f"depth: {figures['overshoot_mm']:.2f} mm beyond the reference's deepest point",
         f"force: peak {peak['trainee']:.3g} N against {peak['reference']:.3g}; the RMS difference "
@@ -46,14 +46,14 @@ def assessment_lines(found: Assessment) -> list[str]:
         *(
             [
                 f"removed: {removed['trainee']:.3g} mm3 against {removed['reference']:.3g}, "
-                f"{100.0 * removed['trainee'] / removed['reference']:.0f} % of the reference's"
+                f"{100.0 * removed['trainee'] / removed['reference']:.0f} % of the reference volume"
             ]
             if removed["reference"] > 0.0
             else []
         ),
         f"time from first to last contact: {time['trainee']:.2f} s against {time['reference']:.2f}",
         *(
-            f"least distance to {name}: {each['trainee']:.3f} mm against {each['reference']:.3f}"
+            f"smallest distance to {name}: {each['trainee']:.3f} mm against {each['reference']:.3f}"
             f"{_margin_text(found, name)}"
             for name, each in figures["least_distance_mm"].items()
         ),
@@ -107,7 +107,7 @@ def _mistakes(found: Assessment) -> str:
 def _score_line(hand: Steadiness) -> str:
     """Return the score of a hand in words."""
     return (
-        f"score: {hand.score:.0f} (95 %: {hand.low:.0f} to {hand.high:.0f}) by a tremor of "
+        f"score: {hand.score:.0f} (95 %: {hand.low:.0f} to {hand.high:.0f}) from a tremor of "
         f"{hand.tremor_mm:.3f} mm; {SCALE}"
     )
 
@@ -143,7 +143,7 @@ def _run_lines(trainee: AssessedRun, reference: AssessedRun) -> list[str]:
 def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> list[Path]:
     """Write ``assessment.json`` and ``assessment.png``.
 
-    Raises InputError if `folder` is a file, or already contains an assessment and `overwrite` is
+    Raises InputError if `folder` is a file, or if it contains an assessment and `overwrite` is
     false.
     """
     data = {
@@ -168,7 +168,7 @@ def write_assessment(found: Assessment, folder: Path, *, overwrite: bool) -> lis
 
 
 def draw_assessment(found: Assessment, path: Path) -> None:
-    """Draw the quantities of trainee and reference over time, and the limits.
+    """Draw the assessed quantities of trainee and reference over time, with their limits.
 
     Time spans in which a quantity exceeds its limit are shaded. A line marks the first breach of
     each structure.

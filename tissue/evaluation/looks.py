@@ -24,7 +24,7 @@ in colour or marker.
 
 
 def looks(methods: Iterable[str] = ()) -> dict[str, tuple[str, str]]:
-    """Return colour and marker of every method and predictor, by name.
+    """Return the colour and marker of every method and predictor, keyed by name.
 
     `methods` may contain further names. They follow the registered predictors.
     """

@@ -54,7 +54,7 @@ class Attempt:
         return self.found.steadiness
 
     def least_mm(self, structure: str) -> float:
-        """Return the smallest distance of the tool from a structure [mm], NaN if unknown."""
+        """Return the smallest distance [mm] of the tool from a structure; NaN if it is unknown."""
         kept = self.found.figures["keep_clear"]
         return float(kept[structure]["least_distance_mm"]) if structure in kept else float("nan")
 
@@ -118,7 +118,7 @@ class Person:
 class Ranking:
     """Trainees ordered by safety and score, the best first.
 
-    Trainees who breached a structure in a smaller fraction of their runs come first. Trainees with
+    Trainees are ordered by the fraction of their runs with a breach, smallest first. Trainees with
     equal fractions are ordered by the mean score.
 
     Attributes
@@ -128,14 +128,16 @@ class Ranking:
     people
         Ordered trainees.
     unscored
-        Trainees with the runs that have no score. The table lists these runs without a rank.
+        Trainees together with those of their runs that have no score. The table lists these runs
+        without a rank.
     left_out
-        Sentence with the reason for each run that is not ranked. For example, the run has another
-        task than the reference run, or no score.
+        Sentence with the reason for each run that is not ranked. Typical reasons are a task that
+        differs from the task of the reference run, and a missing score.
     notes
-        Names of runs, keyed by a sentence. The sentence states a difference from the scene of the
-        reference run, or an unfinished path. Sentences that differ only in numbers are merged into
-        one sentence with ranges of the numbers.
+        Names of the runs to which a note applies, keyed by the note (a sentence). The sentence
+        states that the scene differs from that of the reference run, or that the path was not
+        finished. Sentences that differ only in numbers are merged into one sentence with ranges of
+        the numbers.
     """
 
     scene: str
@@ -296,7 +298,7 @@ def ranking_lines(found: Ranking) -> list[str]:
             f"{counted(len(person.attempts), 'attempt')}"
         )
         if (gain := person.gain) is not None:
-            line += f", {gain[0]:+.1f} an attempt ({gain[1]:+.1f} to {gain[2]:+.1f})"
+            line += f", {gain[0]:+.1f} per attempt ({gain[1]:+.1f} to {gain[2]:+.1f})"
             if gain[1] <= 0.0 <= gain[2]:
                 line += ": the attempts show no change, because this interval contains 0"
         lines.append(line)
@@ -305,7 +307,7 @@ def ranking_lines(found: Ranking) -> list[str]:
                 f"{each.least_mm(name):.3f} mm" + " (breached)" * (name in each.found.breached)
                 for each in person.attempts
             )
-            lines.append(f"   least distance to {name}: {distances}")
+            lines.append(f"   smallest distance to {name}: {distances}")
     lines += _limit_lines(found)
     if len(found.people) > 1 and all(one.name.startswith("attempt") for one in found.people):
         lines.append(
@@ -354,7 +356,7 @@ def write_ranking(found: Ranking, folder: Path, *, overwrite: bool) -> list[Path
     Runs without a score have no rank, and are not drawn. If no run has a score, only the table is
     written.
 
-    Raises InputError if `folder` is a file, or already contains a ranking and `overwrite` is false.
+    Raises InputError if `folder` is a file, or if it contains a ranking and `overwrite` is false.
     """
     with OwnedFolder(folder, "ranking", FILES, overwrite=overwrite):
         rows = [
@@ -484,7 +486,7 @@ def _draw_distances(found: Ranking, axes: "Axes") -> None:
                 label = f"{name}, {text}"
                 axes.plot(*np.array(points).T, marker, color=colour, label=label)
     axes.axvline(0.0, color=BREACHED, linestyle="--")
-    axes.set_xlabel("least distance of each run / mm")
+    axes.set_xlabel("smallest distance of each run / mm")
     axes.legend(fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False)
 
 

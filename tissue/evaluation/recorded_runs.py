@@ -26,7 +26,7 @@ from tissue.scene.load import changed
 from tissue.scene.registry import GROUPS
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Probe
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.builders.hand import hand_motion
 from tissue.simulation.builders.loop import judged_loop, loop_settings
 from tissue.simulation.builders.parts import Parts, motion_of
@@ -70,8 +70,8 @@ class Recording:
         Exact position of the device [m], without encoder steps, shape (n, 3). None if it is
         unknown.
     ideal_N
-        Ideal force [N], shape (n, 3): the force of a loop without delay, encoder steps and filters
-        on the same path of the device. None if it was not computed.
+        Ideal force [N], shape (n, 3): the force that a loop without delay, encoder steps and
+        filters gives on the same device path. None if it was not computed.
     """
 
     position_m: Array
@@ -89,15 +89,15 @@ class Recording:
         The n rows are the ticks for which all targets are known. Before the first tick, the device
         is assumed to be at rest. All targets are in metres.
 
-        The first HORIZON targets are displacements from the measured device position to the true
-        device positions in later ticks.
+        The first HORIZON targets are the displacements from the measured device position to the
+        true device positions 1 to HORIZON ticks later.
 
         The other targets are changes of the stretch of the coupling spring from the present tick to
-        later ticks. The stretch is the force divided by the spring stiffness. In a later tick, it
-        is the vector from the true device position to the tool, or zero without contact. For a tool
-        that cuts, the true positions are filtered first, as in the haptic loop. For other tools,
-        this vector is averaged with the ideal force divided by the spring stiffness; see
-        `IDEAL_SHARE`.
+        later ticks. The stretch is the force divided by the spring stiffness. For later ticks, the
+        stretch is the vector from the true device position to the tool, or zero without contact.
+        For a tool that cuts, the true positions are filtered first, as in the haptic loop. For
+        other tools, the stretch is a weighted mean of this vector and the ideal force divided by
+        the spring stiffness; see `IDEAL_SHARE`.
         """
         true = self.position_m if self.true_position_m is None else self.true_position_m
         if self.contact[0].cuts:
@@ -125,7 +125,7 @@ class Recording:
 def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float = 1.0) -> Scene:
     """Return the scene of a training run.
 
-    Successive runs use the simulated hands and the latencies in turn. The run uses no predictor,
+    Successive runs cycle through the simulated hands and the latencies. The run uses no predictor,
     and computes no stress field.
 
     Parameters
@@ -164,7 +164,7 @@ def trial(scene: Scene, index: int, *, delay_ms: int | None = None, share: float
 class Recorder:
     """Recorder of training runs of one scene.
 
-    A linear elastic organ is built only once, because a run does not change its model.
+    A linear elastic organ is built only once, because runs do not change the organ's model.
     """
 
     def __init__(self, *, cores: int | None = None) -> None:
@@ -224,7 +224,8 @@ class Recorder:
         scene
             Scene of the run.
         run
-            Run whose device path is used. True positions are preferred to measured positions.
+            Run whose device path is used. True device positions are used if they are known,
+            otherwise measured positions.
 
         Raises
         ------

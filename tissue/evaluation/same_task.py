@@ -9,7 +9,7 @@ from pathlib import Path
 from meshes.base.errors import InputError
 from meshes.base.text_tables import shown
 from tissue.scene.load import names_file
-from tissue.scene.messages import entries
+from tissue.scene.part import entries
 from tissue.scene.scene import Scene, without_fields
 from tissue.scene.used_constants import used_constants
 from tissue.simulation.run_folder import Summary
@@ -128,8 +128,9 @@ def _task_constants(run: AssessedRun) -> dict[str, float]:
 def coupling_notes(run: AssessedRun, other: AssessedRun, name: str) -> Iterator[str]:
     """Yield a note if the motion scale or the force scale of the coupling differs between two runs.
 
-    These scales change motion and force at the device, from which the score is computed. A run
-    without a device has no coupling and gives no note. `name` is the name for `other` in the notes.
+    These scales change the motion and the force at the device; the score is computed from both. A
+    run without a device has no coupling and gives no note. `name` is the name for `other` in the
+    notes.
     """
     if run.scene is None or other.scene is None:
         return
@@ -154,9 +155,9 @@ def coupling_notes(run: AssessedRun, other: AssessedRun, name: str) -> Iterator[
 
 
 def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]:
-    """Yield a sentence for each differing scene key that is neither in `TASK` nor in `FREE`."""
+    """Yield a sentence for each key that differs between the scenes, except `TASK` and `FREE`."""
     if trainee is None or reference is None:
-        yield "a run has no scene.toml: whether both are of one tissue and tool is not known"
+        yield "a run has no scene.toml, so tissue and tool of the runs cannot be compared"
         return
     # Another name may stand for another exercise on the same tissue, although it is no physics.
     if trainee.name != reference.name:

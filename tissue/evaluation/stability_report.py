@@ -34,7 +34,7 @@ LINES = {
 
 
 def scene_stability(scene: Scene) -> StabilityMap:
-    """Compute the stability map of the closed loop of a scene's device and operator.
+    """Compute the stability map of the closed loop formed by a scene's device and operator.
 
     The hand is modelled with and without its stretch reflex; the model with the lower critical
     stiffness is used.
@@ -58,10 +58,10 @@ def scene_stability(scene: Scene) -> StabilityMap:
 
 
 def stability_lines(scene: Scene, found: StabilityMap) -> list[str]:
-    """Describe the stability of the coupling stiffness, and the limits by delay, in words.
+    """Describe in words the stability of the coupling, and the critical stiffness for each delay.
 
     The critical stiffness at each delay is computed from eigenvalues and measured in a simulation.
-    The passive bound is given too.
+    The passivity bound is also given.
     """
     chosen = found.chosen
     data = found.over_delay

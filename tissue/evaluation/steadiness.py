@@ -54,7 +54,7 @@ The score of zero tremor would be infinite.
 TYPICAL = "intermediate"
 """Expertise group whose grip is assumed, because the grip of the assessed person is unknown."""
 NOVICE, EXPERT = "novice", "expert"
-SCALE = "0 is the tremor of a novice's hand alone, and 100 that of an expert's hand"
+SCALE = "0 is the tremor of a novice's hand alone, and 100 is the tremor of an expert's hand alone"
 """Explanation of the score's scale in printed results."""
 
 
@@ -65,15 +65,16 @@ class Steadiness:
     Attributes
     ----------
     tremor_mm
-        Root mean square [mm] of the intended hand motion between 8 and 12 Hz, over all three axes.
-        The value is the quantile `QUANTILE` over the time windows of the run.
+        Root mean square [mm], over all three axes, of the intended hand motion in the band from 8
+        to 12 Hz. It is computed in time windows; the value is the quantile `QUANTILE` over these
+        windows.
     score
-        Score of the tremor: 0 for the tremor of a novice and 100 for the tremor of an expert, by
-        the constants of hands.toml. The score is linear in the logarithm of the tremor, and may be
+        Score of the tremor: 0 for a novice's tremor and 100 for an expert's, as given by the
+        constants in hands.toml. The score is linear in the logarithm of the tremor, and may be
         below 0 or above 100. Only runs of the same task with equal motion and force scales are
         comparable.
     low, high
-        Ends of the 95 % interval of the score, from random draws of the tremor in each window.
+        Ends of the 95 % interval of the score, computed by random draws of each window's tremor.
     """
 
     tremor_mm: float
@@ -102,8 +103,8 @@ def steadiness(
     constants
         Constants of the hands, which define the assumed grip and the scale of the score.
     scored
-        Number of ticks from the start whose tremor is rated. Default: all ticks. At least the first
-        second is rated.
+        Number of ticks, counted from the start of the run, in which the tremor is rated. Default:
+        all ticks. At least the first second is rated.
 
     Raises
     ------
@@ -159,10 +160,10 @@ def hand_motion_m(
     """Compute the intended motion of a hand [m], shape (n, 3), in a frequency band.
 
     In the model, the hand pulls the device towards the intended position by a spring, a damper and
-    a reflex. The force of the hand follows from the measured motion of the device, from its
-    inertia, damping and friction, and from the force of its motors. The model is then solved for
-    the intended position. If the parameters of the grip are correct, the result does not depend on
-    device and tissue. The filters have no phase lag.
+    a reflex. The hand's force is computed from the device's measured motion, inertia, damping,
+    friction and motor force. The model is then solved for the intended position. If the parameters
+    of the grip are correct, the result does not depend on device and tissue. The filters have no
+    phase lag.
 
     Parameters
     ----------

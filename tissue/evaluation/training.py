@@ -37,7 +37,7 @@ MOST_TRIALS = 10_000
 This is a hundred times the number for the shipped predictors, and would take days to run. A larger
 number is assumed to be a typing error.
 """
-HELD_OUT = 4
+VALIDATION_INTERVAL = 4
 """Number of successive runs of which one is used for validation, the others for training.
 
 Successive runs have hands of the three expertise groups in turn. Because 4 and 3 have no common
@@ -59,7 +59,7 @@ def train(
 ) -> Trained:
     """Train the predictors of a scene on runs with simulated hands, and validate the predictors.
 
-    The runs have hands of all expertise groups.
+    In the runs, simulated hands of all expertise groups move the tool.
 
     The validation uses runs that are not used for training.
 
@@ -79,7 +79,7 @@ def train(
         )
     recorder = Recorder(cores=cores)
     device = device_parameters(trial(scene, 0).held.kind, scene.constants)
-    held_out = range(HELD_OUT - 1, trials, HELD_OUT)
+    held_out = range(VALIDATION_INTERVAL - 1, trials, VALIDATION_INTERVAL)
 
     def recorded(index: int, encoder_step_m: float | None = None) -> Recording:
         """Record a trial."""
@@ -109,12 +109,12 @@ def train(
 
 
 def with_fallback(trained: Trained, runs: list[Recording], force_limit_N: float) -> Trained:
-    """Return the trained predictors with the best fallback predictor.
+    """Return a copy of the trained predictors that uses the best fallback predictor.
 
-    A guard uses the fallback if it rejects a prediction. The fallback is the predictor in
+    When a guard rejects a prediction, it uses the fallback. The fallback is the predictor in
     `FALLBACKS` with the smallest mean error.
 
-    The predictors in `FALLBACKS` have no trained operator.
+    None of the predictors in `FALLBACKS` uses a trained operator.
     """
     errors = _mean_errors(FALLBACKS, trained, touching(runs), force_limit_N, (VALIDATED_AT,))
     return replace(trained, fallback=min(errors, key=lambda kind: errors[kind][0]))
@@ -136,7 +136,7 @@ def _mean_errors(
 
 
 def validated(trained: Trained, held_out: list[Recording], force_limit_N: float) -> Trained:
-    """Return the trained predictors with the mean errors of all predictors on validation runs.
+    """Measure all predictors on validation runs; return `trained` with the mean errors.
 
     Raises
     ------
@@ -167,7 +167,8 @@ def fit(scene: str, runs: Sequence[Recording]) -> Trained:
     Raises
     ------
     InputError
-        If there are too few runs, no run has a force, or the runs are not suitable for training.
+        If there are too few runs, if no run has a force, or if the runs are not suitable for
+        training.
     """
     if len(runs) < LEAST_RUNS:
         raise InputError(
@@ -216,7 +217,7 @@ def _largest_square(moments: Moments, seen_in_runs: Iterable[Array]) -> float:
 def forecast(
     predictor: Predictor, run: Recording, horizons: Sequence[float], *, model_ticks: int = 1
 ) -> tuple[Array, Array]:
-    """Predict the force in every tick of a run at some horizons [ticks].
+    """Predict the force at each of the given horizons [ticks] from every tick of a run.
 
     Return the predicted forces [N], shape (n, horizons, 3), and a flag for each tick, shape (n,).
     The flag is 1 if the predicted force comes mainly from the primary predictor, and 0 if it comes
@@ -249,10 +250,10 @@ def forecast_errors(
     horizons: Sequence[float] = HORIZONS,
     model_ticks: int = 1,
 ) -> Array:
-    """Return the relative error of a new predictor on each run, shape (runs, horizons).
+    """Return the relative errors of a predictor made for each run, shape (runs, horizons).
 
     The error is ||predicted - F|| / ||F||, where F is the recorded force in the predicted tick. The
-    norms are taken over all ticks whose predicted tick lies in the run.
+    norms are taken over all ticks for which the predicted tick is still within the run.
 
     Raises
     ------
@@ -272,7 +273,7 @@ def forecast_errors(
 def touching(runs: Sequence[Recording]) -> list[Recording]:
     """Return the runs that have a nonzero force in ticks that can be predicted.
 
-    A tick can be predicted if it is reached with every horizon in `HORIZONS`. In a short run, the
-    hand may not reach the tissue.
+    A tick can be predicted if the run contains all earlier ticks at the distances in `HORIZONS`.
+    Some runs have no such force, because the hand may not reach the tissue in a short run.
     """
     return [run for run in runs if run.force_N[max(HORIZONS) :].any()]

@@ -53,26 +53,28 @@ large.
 
 
 def assemble(space: Space, elasticity: ArrayLike, *, softened: bool = False) -> bsr_array:
-    """Return the stiffness matrix [N/m] of linear elastic cells, in blocks of 3x3.
+    """Return the stiffness matrix of linear elastic cells [N/m], stored in 3x3 blocks.
 
-    The shape is (unknowns, unknowns). The matrix contains both triangles, which are bitwise equal
-    for any number of cores. The integrals over the cells are exact.
+    The shape is (unknowns, unknowns). The matrix contains both triangles. They are bitwise equal,
+    whatever the number of cores. The integrals over the cells are exact.
 
     Quadratic cells with straight edges lock if Poisson's ratio is near 0.5. Softened cells do not
-    lock. In softened cells, a part of the first Lame constant resists only the mean volume change
-    of the cell. It is the part above `SOFTENED_RATIO` times the shear modulus (mean dilatation:
+    lock. In a softened cell, a part of the first Lame constant acts only on the cell's mean volume
+    change. This part is the excess over `SOFTENED_RATIO` times the shear modulus (mean dilatation:
     Nagtegaal, Parks and Rice 1974, Comput. Methods Appl. Mech. Eng. 4:153). Cells with a Poisson's
     ratio of up to 1/4 are not softened.
 
     Parameters
     ----------
     space
-        Nodes and cells. After the first call the space stores the positions of the blocks.
+        Nodes and cells. After the first call, the space keeps the positions of the matrix blocks
+        for later calls.
     elasticity
         Lame constants [Pa], shape (2,) or (m, 2), or stiffness matrices [Pa], shape (6, 6) or (m,
         6, 6), as returned by `tissue.materials.elasticity`.
     softened
-        True to soften quadratic cells with a Poisson's ratio near 0.5, which would lock.
+        True to soften the quadratic cells whose Poisson's ratio is near 0.5, because they would
+        lock.
 
     Raises
     ------
@@ -113,12 +115,13 @@ def _softening(rows: Array) -> Array:
 
 @cache
 def pair_tables(order: int) -> tuple[Int32s, Array, Array]:
-    """Return corners and weights for each pair of shape functions in a cell, each of shape (p, 4).
+    """Return corners and two sets of weights for each pair of shape functions in a cell.
 
-    Shape function A has the corners i and j, shape function B the corners k and n. The weights
-    multiply the products ik, in, jk and jn of the gradients of the barycentric coordinates. With
-    the first array of weights, the weighted sum is the mean of the product of the gradients of A
-    and B. With the second array, it is the product of the means of the two gradients.
+    Each of the three arrays has shape (p, 4). Shape function A belongs to the corners i and j, and
+    B belongs to k and n. The weights multiply the products of the gradients of the barycentric
+    coordinates i and k, i and n, j and k, and j and n. With the first array, the weighted sum is
+    the cell's mean of the product of A's and B's gradients. With the second array, the weighted sum
+    is the product of the mean gradients of A and B.
     """
     products = gradient_products(4, order)
     # The four functions of the corners come first, then the functions of the edges of a quadratic
@@ -212,9 +215,10 @@ STANDARD_GRAVITY_M_S2 = 9.80665
 
 
 def gravity(space: Space, *, density_kg_m3: ArrayLike) -> Array:
-    """Return the nodal forces [N], shape (n, 3), of the weight of the cells, which acts along -z.
+    """Return the nodal forces due to the weight of the cells [N], shape (n, 3).
 
-    The density [kg/m3] is one number, or one number for each cell, shape (m,).
+    The weight acts along -z. The density [kg/m3] is one number, or one number for each cell, shape
+    (m,).
     """
     mass = np.asarray(density_kg_m3, np.float64) * space.volumes_m3
     force = mass[:, None] * np.array([0.0, 0.0, -STANDARD_GRAVITY_M_S2])

@@ -84,9 +84,10 @@ class LayerMesh:
     nodes_m
         Radius and height of the nodes [m], shape (n, 2). The top face lies at height zero.
     cells
-        Nodes of the cells, shape (m, 9), in rows of three, starting with the lowest row.
+        Nodes of each cell, shape (m, 9): three rows of three nodes, from the lowest row to the
+        highest.
     top
-        Nodes of the top face in rising radius, shape (t,).
+        Nodes of the top face, ordered by increasing radius, shape (t,).
     held
         True for displacement components that are held at zero, shape (n, 2).
     radius_m
@@ -101,14 +102,14 @@ class LayerMesh:
 
 
 def layer_mesh(radius_m: float, thickness_m: float, *, first: float = FIRST) -> LayerMesh:
-    """Mesh a layer for a ball that is pressed into it on the axis.
+    """Mesh a layer into which a ball is pressed at the axis.
 
     Parameters
     ----------
     radius_m, thickness_m
         Radius of the ball and thickness of the layer [m].
     first
-        Edge of the cells under the ball, divided by the ball's radius.
+        Edge length of the cells under the ball, divided by the ball's radius.
 
     Raises
     ------
@@ -163,7 +164,7 @@ def _graded(count: int, edge: float, end: float) -> Array:
 
 
 def press_forces(mesh: LayerMesh, law: Hyperelastic | LinearLaw, depths_m: Array) -> Array:
-    """Compute the force of a ball on a layer [N] at rising depths, with the shape of `depths_m`.
+    """Compute the force of a ball on a layer at increasing depths [N], shaped like `depths_m`.
 
     At the first depth without an equilibrium, and at all larger depths, the forces are NaN.
 

@@ -28,7 +28,7 @@ class SolverOutcome(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Displacement that a solver has computed, and outcome of the solver.
+    """Displacement computed by a solver, and the solver's outcome.
 
     Attributes
     ----------
@@ -73,10 +73,11 @@ class Iterate:
     residual
         Load minus the stiffness times the displacement.
     slopes
-        Scalar products ``r . B r`` of the present and all earlier residuals r, with the
-        preconditioner B.
+        Scalar products ``r . B r`` for the present and all earlier residuals r. B is the
+        preconditioner.
     factors
-        Factor of the previous direction in the direction of each step so far.
+        For each step so far: factor with which the previous direction enters the direction of the
+        step.
     lengths
         Step lengths of all steps so far.
     """
@@ -102,9 +103,9 @@ def conjugate_gradients(
 ) -> Solution:
     """Solve ``K u = f`` for a symmetric positive definite K, on arrays of any shape.
 
-    The factor of the last direction in the next direction is computed with the formula of Polak and
-    Ribiere. The formula allows a preconditioner that is slightly unsymmetric, or in single
-    precision (Golub and Ye 1999, SIAM J. Sci. Comput. 21:1305).
+    The factor with which the last direction enters the next direction is computed with the formula
+    of Polak and Ribiere. The formula allows a preconditioner that is slightly unsymmetric or is
+    computed in single precision (Golub and Ye 1999, SIAM J. Sci. Comput. 21:1305).
 
     Parameters
     ----------
@@ -122,10 +123,10 @@ def conjugate_gradients(
     start
         Displacement at the start of the iterations; default: zero.
     least_curvature
-        Function that returns a limit of ``p . K p`` for a direction p. At or below the limit, K
-        counts as not positive definite.
+        Function that returns the lower limit of ``p . K p`` for a direction p. If ``p . K p`` is
+        not above the limit, K is treated as not positive definite.
     correct_last
-        True to add ``B r`` to the converged solution, with the last residual r. This product is
+        True to add ``B r`` to the converged solution, where r is the last residual. This product is
         known without further work. It reduces the error if no eigenvalue of ``B K`` is above 2.
     """
     norm = np.sqrt(dot(load, load))
@@ -171,5 +172,5 @@ def conjugate_gradients(
 
 
 def dot(a: Array, b: Array) -> float:
-    """Return the scalar product, summed in an order that does not depend on the number of cores."""
+    """Return the scalar product with a summation order independent of the number of cores."""
     return float(np.einsum("i,i->", a.ravel(), b.ravel()))

@@ -79,7 +79,10 @@ class StressState:
 
 
 def von_mises(stress: Array) -> Array:
-    """Return the von Mises stress, shape (n,), of tensors xx, yy, zz, yz, xz, xy, shape (n, 6)."""
+    """Return the von Mises stress, shape (n,), of stress components as columns, shape (n, 6).
+
+    The columns are xx, yy, zz, yz, xz, xy.
+    """
     return np.sqrt(1.5) * deviator_norm(stress)
 
 
@@ -107,7 +110,7 @@ def displacement_gradient(space: Space, displacement_m: Array, point: Array) -> 
     Parameters
     ----------
     space, displacement_m
-        Nodes and cells, and displacement of each node [m], shape (n, 3).
+        Space, and displacement of each of its nodes [m], shape (n, 3).
     point
         Barycentric coordinates of the point, shape (4,).
     """

@@ -33,7 +33,7 @@ class NonlinearBody:
     law
         Hyperelastic law.
     cell_factors
-        Factors of the moduli of the law, one for each cell, shape (m,); None for a factor of 1.
+        Factor on the law's moduli for each cell, shape (m,). None if all factors are 1.
     membrane
         Stiffness of a linear membrane on the surface [N/m], shape (3n, 3n), as returned by
         `tissue.fem.assembly.capsule_stiffness`; None for no membrane.
@@ -111,9 +111,10 @@ class NonlinearBody:
         ]
 
     def energy_and_force(self, displacement_m: Array) -> tuple[float, Array]:
-        """Return the elastic energy [J] and its derivative [N], shape (n, 3).
+        """Return the elastic energy [J] and the internal nodal forces [N], shape (n, 3).
 
-        The energy is infinite if a cell is inverted.
+        The forces are the derivative of the energy with respect to the displacement. The energy is
+        infinite if a cell is inverted.
         """
         self._displacement.assign(np.ascontiguousarray(displacement_m, dtype=np.float64))
         for run in self._force_launches:
@@ -137,8 +138,8 @@ class NonlinearBody:
         displacement_m
             Displacement of the nodes [m], shape (n, 3).
         definite
-            If true, the eigenvalues of the tangent are made positive at each quadrature point. The
-            matrix is then positive definite for any supports that prevent rigid motions.
+            If true, the tangent at each quadrature point is changed so that its eigenvalues are
+            positive. The matrix is then positive definite if the supports prevent rigid motions.
         """
         self._displacement.assign(np.ascontiguousarray(displacement_m, dtype=np.float64))
         for run in self._stiffness_launches[int(definite)]:

@@ -50,17 +50,23 @@ class Body(Protocol):
     """Interface of a body with an elastic energy, such as `NonlinearBody`."""
 
     def energy_and_force(self, displacement_m: Array) -> tuple[float, Array]:
-        """Return the energy [J] and its derivative [N], shape (n, 3)."""
+        """Return the energy [J] and the internal forces [N], shape (n, 3).
+
+        The forces are the derivative of the energy with respect to the displacement.
+        """
 
     def stiffness(self, displacement_m: Array, *, definite: bool = False) -> bsr_array:
-        """Return the tangent [N/m], shape (3n, 3n), with positive eigenvalues if `definite`."""
+        """Return the tangent stiffness [N/m], shape (3n, 3n).
+
+        If `definite`, all its eigenvalues are positive.
+        """
 
 
 @dataclass(frozen=True, eq=False)
 class Springs:
     """Coupled springs that hold nodes of a body near given positions.
 
-    The energy is ``|root u - rest|^2 / 2``, with the vector u of all displacement components.
+    The energy is ``|root u - rest|^2 / 2``, where u holds all displacement components.
 
     Attributes
     ----------
@@ -75,7 +81,7 @@ class Springs:
 
     @classmethod
     def none(cls, unknowns: int) -> "Springs":
-        """Return an empty set of springs for a body with ``unknowns`` displacements."""
+        """Return an empty set of springs for a body with ``unknowns`` displacement components."""
         return cls(csr_array((0, unknowns)), np.zeros(0))
 
     @classmethod
@@ -91,7 +97,7 @@ class Springs:
         nodes
             Nodes to hold, shape (k,).
         compliance_m_N
-            Compliance between the nodes [m/N], positive definite, shape (3k, 3k).
+            Compliance matrix of the springs at the nodes [m/N], positive definite, shape (3k, 3k).
         target_m
             Displacements of the nodes at which the springs are at rest [m], shape (k, 3).
         unknowns
@@ -107,7 +113,7 @@ class Springs:
         return cls(root, solve_triangular(lower, target_m.ravel(), lower=True))
 
     def at(self, share: float, start_m: Array) -> "Springs":
-        """Return springs with targets between a start displacement and the present targets.
+        """Return springs whose targets lie between a start displacement and the present targets.
 
         Parameters
         ----------
@@ -128,13 +134,13 @@ class Springs:
         return 0.5 * float(stretch @ stretch), -(self.root.T @ stretch).reshape(-1, 3)
 
     def product(self, change_m: Array) -> Array:
-        """Compute the change of the restoring forces [N], shape (n, 3), from a displacement [m]."""
+        """Compute the change of the restoring forces due to a displacement [N], shape (n, 3)."""
         return (self.root.T @ (self.root @ change_m.ravel())).reshape(-1, 3)
 
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """Equilibrium, or the closest state to an equilibrium that was found.
+    """Equilibrium, or the state closest to equilibrium if no equilibrium was found.
 
     Attributes
     ----------
@@ -143,14 +149,14 @@ class Followed:
     load_N
         Sum of the load and the forces of the springs [N], shape (n, 3).
     residual
-        Largest unbalanced force, divided by a reference force. The reference is the largest force
-        of the load or of the internal forces at the start. It is at least `SMALL` times the largest
-        reference so far.
+        Largest unbalanced force, divided by a reference force. The reference is the largest nodal
+        force in the load or in the initial internal forces. The reference is at least `SMALL` times
+        the largest reference of all earlier solutions.
     steps
         Number of steps.
     reached
-        Fraction, 0 to 1, of the change of load and springs that was applied. If it is less than 1,
-        the displacement is the equilibrium under this part of the change.
+        Fraction of the change of load and springs that was applied, from 0 to 1. If the fraction is
+        below 1, the displacement is the equilibrium for this fraction of the change.
     """
 
     displacement_m: Array
@@ -196,7 +202,7 @@ class QuasiNewton:
     fixed
         True for components with zero displacement, shape (n, 3).
     at_rest
-        Factor of the stiffness at rest. The factorisation, and `factorise`, must eliminate the
+        Factorised stiffness at zero displacement. `at_rest` and `factorise` must eliminate the
         nodes with springs last.
     factorise
         Function that factorises a stiffness [N/m]. It raises `NotPositiveDefiniteError` if the
@@ -205,9 +211,9 @@ class QuasiNewton:
     Attributes
     ----------
     factor
-        Factor in use: of the stiffness at rest, or of the stiffness at a later displacement.
+        Factorised stiffness in use, at rest or at a later displacement.
     indefinite
-        Number of tangents so far that were not positive definite.
+        Number of tangent matrices so far that were not positive definite.
     """
 
     RECORD = ("_largest_N", "indefinite")
@@ -293,7 +299,7 @@ class QuasiNewton:
         self._tangent = None
 
     def state(self) -> dict[str, Any]:
-        """Return the state on which later solutions depend, without the attributes in `RECORD`.
+        """Return the state on which later solutions depend, except the attributes in `RECORD`.
 
         The arrays in the state are not copied, because `follow` replaces them and does not write to
         them.
@@ -301,7 +307,7 @@ class QuasiNewton:
         return {"last": self._last, "memory": list(self._memory), "tangent": self._tangent}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore a state that `state` of this solver or of an equal solver has returned."""
+        """Restore a state returned by `state` of this solver or of an equal solver."""
         tangent: _Tangent | None = state["tangent"]
         factor = self.at_rest
         if tangent is not None:

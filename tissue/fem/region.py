@@ -43,29 +43,31 @@ SEED = 0
 
 
 class RegionBody:
-    """Body with a hyperelastic region whose other cells are linear.
+    """Body with a hyperelastic region and linear cells outside this region.
 
-    The unknowns are the displacements of the inner nodes, and the amplitudes of the border modes.
-    Three amplitudes are stored in one row, like the displacement of a node.
+    The unknowns are the displacements of the region's inner nodes, and the amplitudes of the modes
+    in which the region's border moves. Three amplitudes are stored in one row, like the
+    displacement of a node.
 
     Parameters
     ----------
     space
         Nodes and cells of the body.
     rest
-        Factor of the stiffness of the body at rest, with its supports.
+        Factorised stiffness of the supported body at rest.
     cells
         Indices of the cells of the region.
     loaded
-        Sets of nodes of the body near a contact, each of shape (l,): the nodes on which forces may
-        act, and the nodes where the law may differ from the linear law. Each set gets an equal
-        number of the random loads from which the modes are computed. Nodes on the border get no
-        load, because such loads would need many modes.
+        Sets of body nodes near a contact, each of shape (l,). One set holds the nodes on which
+        forces may act. Another set holds the nodes where the law may differ from the linear law.
+        The modes are computed from random loads, which are divided equally among the sets. Nodes on
+        the border get no load, because such loads would need many modes.
     law, cell_factors
-        Hyperelastic law, and factor of its moduli in each cell of the body, shape (m,).
+        Hyperelastic law, and the factor on its moduli in each cell of the body, shape (m,).
     membrane
-        Function that returns the stiffness [N/m] of a membrane on given faces of a space; None for
-        no membrane. The stiffness in `rest` must include the membrane on the whole surface.
+        Function that returns the stiffness of a membrane on given faces of a space [N/m]. None if
+        there is no membrane. The stiffness in `rest` must include the membrane on the whole
+        surface.
 
     Attributes
     ----------
@@ -166,14 +168,17 @@ class RegionBody:
     def linear_difference_N(self, unknowns_m: Array) -> Array:
         """Return forces of the linear law minus forces of `law` on `all_nodes` [N], shape (r, 3).
 
-        A linear body with these additional forces has the same displacement as this body.
+        Under these additional forces, a linear body has the same displacement as this body.
         """
         moved = self.nodal_m(unknowns_m)
         linear = self.body.stiffness(np.zeros_like(moved)) @ moved.ravel()
         return linear.reshape(-1, 3) - self.body.energy_and_force(moved)[1]
 
     def energy_and_force(self, unknowns_m: Array) -> tuple[float, Array]:
-        """Return the energy [J] and its derivative [N], shape (n + p, 3)."""
+        """Return the energy [J] and the generalised forces [N], shape (n + p, 3).
+
+        The forces are the derivative of the energy with respect to the unknowns.
+        """
         energy, nodal = self.body.energy_and_force(self.nodal_m(unknowns_m))
         shares = unknowns_m[len(self._inner) :].ravel()
         pull = self._outside @ shares

@@ -46,12 +46,12 @@ class Pattern:
     pair_start
         Index in `contribution` of the first contribution to each pair of nodes, shape (p + 1,).
     contribution
-        Code of each contribution, shape (c,): cell index times number of pairs in a cell, plus
-        index of the pair in the cell. The contributions to a pair are in the order of cells. If the
-        pair is reversed in its cell, the bitwise complement is stored.
+        Code of each contribution, shape (c,): (cell index) * (pairs per cell) + (index of the pair
+        in the cell). The contributions to a pair are in the order of cells. If the cell lists the
+        nodes of the pair in reverse order, the bitwise complement of the code is stored.
     place
-        Index of the block of each pair, shape (p,). The block lies in the row of the lower node of
-        the pair.
+        Index of each pair's block, shape (p,). The block lies in the row of the lower node of the
+        pair.
     mirror
         Index of the transposed block of each pair, shape (p,); equal to `place` on the diagonal.
     """
@@ -103,14 +103,18 @@ class Pattern:
 
 
 def local_pairs(nodes_a_cell: int) -> Ints:
-    """Return the pairs a <= b of the k nodes of a cell, row by row, shape (k (k + 1) / 2, 2)."""
+    """Return the pairs (a, b), a <= b, of the k nodes of a cell, shape (k (k + 1) / 2, 2).
+
+    The pairs are ordered row by row.
+    """
     return np.stack(np.triu_indices(nodes_a_cell), axis=1)
 
 
 def grouped(first: Int32s, second: Int32s, count: int) -> tuple[Int32s, Ints]:
-    """Return the stable order that sorts pairs of numbers, and the start of each distinct pair.
+    """Return the stable sorting order of number pairs, and the start of each distinct pair in it.
 
-    The numbers are below `count`. The starts of p distinct pairs have shape (p + 1,).
+    The numbers are below `count`. For p distinct pairs, the starts have shape (p + 1,); the last
+    entry is the number of pairs.
     """
     every = np.arange(len(first), dtype=np.int32)
     order = _sorted_by(first, _sorted_by(second, every, count), count)
@@ -150,9 +154,10 @@ def gauss_points(order: int) -> Array:
 
 
 def gradient_slopes(corners: int, order: int) -> Array:
-    """Return the coefficients ``slope`` of the gradients, shape (nodes, corners, corners).
+    """Return the coefficients of the shape functions' gradients, shape (nodes, corners, corners).
 
-    The axes are: shape function A, index c of the gradient g_c, and index i of the coordinate l_i.
+    Entry [A, c, i] of the array ``slope`` is the coefficient of l_i g_c in the gradient of shape
+    function A. Here l_i is a barycentric coordinate, and g_c is the gradient of l_c.
     """
     edges = _edges(corners, order)
     slope = np.zeros((corners + len(edges), corners, corners))
@@ -166,10 +171,10 @@ def gradient_slopes(corners: int, order: int) -> Array:
 
 
 def gradient_products(corners: int, order: int) -> Array:
-    """Return means of gradient products, shape (nodes, nodes, corners, corners).
+    """Return mean products of shape-function gradients, shape (nodes, nodes, corners, corners).
 
-    The means are taken over the simplex. Entry [A, B, c, d] is the factor of g_c g_d^T, with the
-    gradients g of the barycentric coordinates.
+    The means are taken over the simplex. Entry [A, B, c, d] is the factor of g_c g_d^T, where g_c
+    is the gradient of barycentric coordinate c.
     """
     slope = gradient_slopes(corners, order)
     mean = (1.0 + np.eye(corners)) / (corners * (corners + 1))
@@ -177,7 +182,7 @@ def gradient_products(corners: int, order: int) -> Array:
 
 
 def mean_gradient_products(corners: int, order: int) -> Array:
-    """Return products of mean gradients, shape (nodes, nodes, corners, corners)."""
+    """Return products of mean shape-function gradients, shape (nodes, nodes, corners, corners)."""
     slope = gradient_slopes(corners, order).mean(axis=2)
     return np.einsum("ac,bd->abcd", slope, slope)
 
@@ -185,7 +190,7 @@ def mean_gradient_products(corners: int, order: int) -> Array:
 def mean_shape(corners: int, order: int) -> Array:
     """Return the means of the shape functions over the simplex, shape (nodes,).
 
-    These means are the shares of the nodes in a uniform load.
+    Each mean is the share of a uniform load that its node carries.
     """
     if order == 1:
         return np.full(corners, 1.0 / corners)
@@ -205,7 +210,7 @@ def _edges(corners: int, order: int) -> Ints:
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """Space of continuous displacements, linear or quadratic in each cell.
+    """Space of continuous displacements that are linear or quadratic in each cell.
 
     Attributes
     ----------
@@ -290,7 +295,7 @@ class Space:
 
     @cached_property
     def pattern(self) -> Pattern:
-        """Positions of the blocks of a matrix on this space."""
+        """Positions of the nonzero blocks of a matrix that is assembled on this space."""
         return Pattern.of(self.cell_nodes, self.node_count)
 
     @cached_property

@@ -57,7 +57,7 @@ class FreeConstant:
     field
         Field of `CuttingCoefficients`, or ``density_factor``.
     unit
-        Factor from the unit of the parameter to the unit of the field.
+        Factor that converts the parameter's unit to the field's unit.
     """
 
     parameter: Parameter
@@ -80,7 +80,7 @@ class CuttingForward:
     free
         Free constants.
     times_s
-        Times of the loads [s], shape (n,), on the clock of the poses.
+        Times of the loads on the same clock as the poses [s], shape (n,).
     notes
         Assumptions, in words.
     """
@@ -111,12 +111,12 @@ class CuttingForward:
         return np.stack(columns, axis=-1)
 
     def averaged_as(self, log: MeasuredLoads) -> tuple["CuttingForward", MeasuredLoads]:
-        """Return the cut with loads averaged like the samples of a log, and the adapted log.
+        """Return the cut with block-averaged loads, and a log that matches these loads.
 
         A sample of the log is a mean over a block of time. The loads of the cut are averaged over
-        blocks of the same duration, at three times the rate of the samples. The returned log treats
-        its samples as values at one time, because the loads of the cut are already averages over
-        blocks.
+        overlapping blocks of the same duration, with three blocks per duration. The returned log
+        treats its samples as values at one time, because the loads of the cut are already averages
+        over blocks.
 
         A fit computes loads thousands of times, so the averages are computed once, before the fit.
         """
@@ -172,15 +172,15 @@ def cutting_forward(
     times_s
         Times of the poses, increasing [s], shape (n,).
     tips_m, quaternions
-        Tips [m], shape (n, 3), and orientations (x, y, z, w), shape (n, 4), of the tool in the
-        scene's frame.
+        Positions of the tool's tip [m], shape (n, 3), and orientations (x, y, z, w), shape (n, 4),
+        in the scene's frame.
     free
-        Selection of the free constants: full names, or the table followed by parts of the name,
-        such as ``cutting.trabecular``, ``cutting.edge`` or ``cutting.trabecular.radial``. Default:
-        all constants that have a range and are not set by the scene. An uncertainty band varies the
-        same constants. The density exponent is free only if a layer's density differs from the
-        reference density of its cutting coefficients. The factor on each layer's density is always
-        free.
+        Free constants: full names, or a table name followed by parts of the constant's name, such
+        as ``cutting.trabecular``, ``cutting.edge`` or ``cutting.trabecular.radial``. Default: all
+        constants that have a range and are not set by the scene. These are also the constants that
+        an uncertainty band varies. The density exponent is free only if a layer's density differs
+        from the reference density of its cutting coefficients. The factor on each layer's density
+        is always free.
     cores
         Processor cores to use; default all.
     progress
@@ -204,8 +204,8 @@ def cutting_forward(
     notes = [f"{subject}: {each}" for subject, each in record.notes.items()]
     if (inside := float(record.trace["removed_mm3"][0])) > 0.0:
         notes.append(
-            f"the tool began in {inside:.3g} mm3 of bone, which were taken away without a force: "
-            "what was cut before the log's first pose is not known"
+            f"at the first pose of the log, the tool overlaps {inside:.3g} mm3 of bone. This bone "
+            "was removed without a force, because earlier cuts are not known"
         )
     forward = forward_of(scene, record, free)
     return replace(forward, times_s=float(times_s[0]) + record.times_s, notes=tuple(notes))
@@ -325,7 +325,7 @@ def cutting_problem(
 
 
 def fixed_densities(scene: Scene, forward: CuttingForward) -> dict[str, float]:
-    """Return the reference densities, keyed by name, at which the free coefficients are valid."""
+    """Return the reference densities at which the free coefficients are valid, keyed by name."""
     fixed = {}
     for at in sorted({each.layer for each in forward.free if each.field != FACTOR}):
         layer = forward.record.layer_names[at]

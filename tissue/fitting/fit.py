@@ -18,7 +18,7 @@ from tissue.fitting.log import MeasuredLog
 from tissue.fitting.organ_problem import organ_problem
 from tissue.fitting.pictures import draw_log, draw_rows
 from tissue.fitting.posterior import Posterior, maximum_of, maximum_posterior
-from tissue.fitting.result import FAR, ConstantFit, Fitted, words_of
+from tissue.fitting.result import FAR_SD, ConstantFit, Fitted, words_of
 from tissue.fitting.table import SteadyTable, TableTarget, table_forward
 from tissue.fitting.target import OFFSET_S
 from tissue.scene.anatomy import CutAnatomy
@@ -51,7 +51,7 @@ class SceneFit(Fitted):
     gains
         Expected information gains of logs that could be measured next, the largest first.
     block_s
-        Time over which samples were averaged [s].
+        Averaging time of the samples [s].
     """
 
     name: str
@@ -85,20 +85,20 @@ class SceneFit(Fitted):
                 float(self.identified.contraction[at]),
                 state,
             )
-            is_doubtful = each.is_far or (state == "determined" and abs(self.offset_sd) > FAR)
+            is_doubtful = each.is_far or (state == "determined" and abs(self.offset_sd) > FAR_SD)
             found.append(replace(each, state="doubtful") if is_doubtful else each)
         return tuple(found)
 
     @property
     def offset_sd(self) -> float:
-        """Offset between the clocks of forces and poses, in standard deviations of its prior."""
+        """Offset between force clock and pose clock, in standard deviations of its prior."""
         return self.posterior.nuisances.offset_s / OFFSET_S
 
     @property
     def doubts(self) -> tuple[str, ...]:
         """See `Fitted`."""
         found = []
-        if abs(self.offset_sd) > FAR:
+        if abs(self.offset_sd) > FAR_SD:
             found.append(
                 f"the forces come {1e3 * self.posterior.nuisances.offset_s:.3g} ms after the "
                 f"poses, {abs(self.offset_sd):.1f} standard deviations of the "
@@ -109,14 +109,15 @@ class SceneFit(Fitted):
 
     @property
     def verdicts(self) -> list[str]:
-        """Sentences of `Fitted`, and sentences on combinations, priors and the next log."""
+        """Sentences of `Fitted.verdicts`, and others on combinations, priors and the next log."""
         found = super().verdicts
         for combined in self.identified.combinations[:SHOWN]:
             # A constant whose prior has the median 0 has no weight over that median.
             weights = {name: weight for name, weight in combined.weights.items() if weight != 0.0}
             terms = [f"{weight:.2g} {words_of(name)[0]}" for name, weight in weights.items()]
             found.append(
-                "known better together, each over the median of its prior: "
+                "determined only as a combination of constants, each divided by the median of its "
+                "prior: "
                 f"{' + '.join(terms).replace('+ -', '- ')} = {combined.value:.4g} "
                 f"({combined.low:.4g} to {combined.high:.4g})"
             )
@@ -128,8 +129,9 @@ class SceneFit(Fitted):
         if self.gains and self.gains[0].nats > NATS:
             best = self.gains[0]
             found.append(
-                f"to measure next: {best.label}, which adds {best.nats:.2g} nats and brings the "
-                f"interval of {words_of(best.widest)[0]} to {best.shrinks_to:.0%} of that now"
+                f"to measure next: {best.label}. This adds {best.nats:.2g} nats and reduces the "
+                f"interval of {words_of(best.widest)[0]} to {best.shrinks_to:.0%} of its present "
+                "width"
             )
         return found
 
@@ -143,7 +145,7 @@ class SceneFit(Fitted):
 
     @property
     def size(self) -> dict[str, float]:
-        """Time over which samples were averaged [s], keyed by ``block_s``."""
+        """Dictionary with the averaging time of the samples [s] under the key ``block_s``."""
         return {"block_s": self.block_s}
 
     @property
@@ -217,7 +219,7 @@ class SceneFit(Fitted):
 
     @property
     def tables(self) -> dict[str, list[dict[str, str]]]:
-        """Table of the logs that could be measured next, see `Fitted`."""
+        """Table of possible next logs (see `Fitted`)."""
         rows = [
             {
                 "log of a second": each.label,
@@ -310,8 +312,8 @@ def fit_table(
 ) -> TableFit:
     """Fit the constants of a scene's bone to a table of steady loads, and compare cutting laws.
 
-    The fit finds the maximum of the posterior with the cited ranges as priors. The errors of the
-    rows are assumed independent and normal. See `tissue.fitting.table.table_forward` for the
+    The fit maximises the posterior. The priors are the cited ranges of the constants. The errors of
+    the rows are assumed independent and normal. See `tissue.fitting.table.table_forward` for the
     parameters and the errors.
     """
     progress("computing the loads of the drill", 0.0)
@@ -344,7 +346,7 @@ def fit_scene(
 ) -> SceneFit:
     """Fit the constants of a scene's material to a log of forces and poses.
 
-    The fit finds the maximum of the posterior with the cited ranges as priors. The noise is
+    The fit maximises the posterior. The priors are the cited ranges of the constants. The noise is
     autocorrelated and has heavy tails. The offset of the clocks, the sensor's bias and the
     specimen's density are estimated together with the constants.
 
@@ -366,8 +368,8 @@ def fit_scene(
     Raises
     ------
     InputError
-        If this kind of scene cannot be fitted, the tool never cuts along the log, or the log
-        determines no constant.
+        If this kind of scene cannot be fitted, the tool cuts nothing on the path of the log, or the
+        log determines no constant.
     """
     if not isinstance(scene.anatomy, CutAnatomy | SoftAnatomy):
         raise InputError(

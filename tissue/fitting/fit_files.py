@@ -40,10 +40,10 @@ def write_fitted(
     entries
         The n constants, keyed by name: ``TABLE.MATERIAL.NAME``.
     correlation
-        Correlation, shape (n, n), of the standard normal numbers from which the constants are
-        computed, see `tissue.materials.constants.Prior`.
+        Correlation matrix, shape (n, n), of the standard normal numbers to which the constants are
+        transformed, see `tissue.materials.constants.Prior`.
     fixed
-        Constants that have no range, and on which the fitted constants depend.
+        Other constants, without a range, on which the fitted constants depend.
     remark
         Lines of comment at the top.
     """

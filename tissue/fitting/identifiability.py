@@ -22,7 +22,7 @@ The ratio is the standard deviation after the fit divided by the standard deviat
 
 The log narrows the interval of such a constant by less than 10 %.
 """
-DETERMINED = 0.5
+DETERMINED_CONTRACTION = 0.5
 """Ratio of standard deviations, as for `AT_PRIOR`, below which a constant is determined.
 
 The log then holds more than three times the information of the prior: 1 / 0.5**2 - 1 = 3.
@@ -50,25 +50,25 @@ prior.
 
 @dataclass(frozen=True)
 class Combination:
-    """Weighted sum of constants; a log determines this sum better than any single constant.
+    """Weighted sum of constants that a log determines better than each single constant.
 
     An example is the sum of a chip and an edge coefficient at one feed. The sum approximates a
-    weighted mean of loads near the fitted values.
+    weighted mean of the loads if the constants are near the fitted values.
 
     Attributes
     ----------
     weights
-        Weights, keyed by the name of the constant. A weight applies to the constant divided by the
-        median of its prior. The absolute weights sum to 1.
+        Weights, keyed by the name of the constant. Each constant is divided by the median of its
+        prior before it is weighted. The absolute weights sum to 1.
     value, low, high
-        Median, 5 and 95 % quantiles.
+        Median, 5 % quantile and 95 % quantile of the combination.
     contraction
         Standard deviation of the combination after the fit, divided by its standard deviation
         before the fit.
-    of
-        Function that returns the exact value of the combination, which the weighted sum
-        approximates. Its argument holds all constants in their own units, shape (p,). Only the
-        named constants change the value.
+    exact_value
+        Function that returns the exact value of the combination. The weighted sum is an
+        approximation of this value. The argument of the function holds all constants in their own
+        units, shape (p,). Only the constants in `weights` change the value.
     """
 
     weights: dict[str, float]
@@ -76,7 +76,7 @@ class Combination:
     low: float
     high: float
     contraction: float
-    of: Callable[[Array], float]
+    exact_value: Callable[[Array], float]
 
 
 @dataclass(frozen=True)
@@ -86,13 +86,13 @@ class Identified:
     Attributes
     ----------
     contraction
-        Standard deviation of the standard normal number of each constant after the fit, shape
-        (p,). It is 1 before the fit.
+        Posterior standard deviation of each constant after transformation to a standard normal
+        prior, shape (p,). Before the fit, this standard deviation is 1.
     eigenvalues
         Eigenvalues of the log's information relative to the prior's information, shape (p,),
         largest first.
     combinations
-        Combinations that are known better than their single constants.
+        Combinations that are known better than each of their constants.
     """
 
     names: tuple[str, ...]
@@ -103,7 +103,7 @@ class Identified:
     @property
     def determined(self) -> tuple[str, ...]:
         """Single constants that the log determines."""
-        return tuple(np.array(self.names)[self.contraction < DETERMINED].tolist())
+        return tuple(np.array(self.names)[self.contraction < DETERMINED_CONTRACTION].tolist())
 
     @property
     def at_prior(self) -> tuple[str, ...]:
@@ -120,10 +120,10 @@ def identified(posterior: Posterior) -> Identified:
     """Return the constants and the combinations that a log determines.
 
     Let z be the constants transformed so that their prior is standard normal. The combinations
-    follow from the eigenvectors of the Fisher information that the log gives about z if the
-    nuisance parameters are unknown too. Each eigenvector is the gradient of a weighted mean of the
-    loads with respect to z. A combination is this mean, not a weighted sum of z, because the
-    gradient may change along a curve on which the mean is constant.
+    follow from the eigenvectors of the Fisher information about z. The nuisance parameters are
+    treated as unknown. Each eigenvector is the gradient of a weighted mean of the loads with
+    respect to z. A combination is this mean and not a weighted sum of z. The reason is that the
+    gradient may change along a curve of constant mean.
     """
     target = posterior.target
     contraction = posterior.spreads
@@ -133,7 +133,7 @@ def identified(posterior: Posterior) -> Identified:
     directions = [
         (value, vector)
         for value, vector in zip(eigenvalues, vectors.T[::-1], strict=True)
-        if 1.0 / (1.0 + value) < DETERMINED**2 and np.max(vector**2) < ALONE
+        if 1.0 / (1.0 + value) < DETERMINED_CONTRACTION**2 and np.max(vector**2) < ALONE
     ]
     found = [
         _combination(posterior, measured @ vector, vector, value) for value, vector in directions
@@ -214,8 +214,8 @@ class Gain:
     widest
         Constant whose interval is the widest before the candidate log.
     shrinks_to
-        Width of the interval of the constant `widest` after the candidate log, divided by the width
-        before this log.
+        Interval width of the constant `widest` after the candidate log, divided by the width before
+        the candidate log.
     """
 
     label: str
@@ -230,9 +230,9 @@ def expected_information(
     """Return the expected information gains of candidate logs, largest first.
 
     The candidates are assumed to have the same noise as the measured log. The information gain is
-    0.5 ln det(I + C M). I is the identity, and C is the present covariance of the standard normal
-    numbers z. M is the Fisher information of the candidate with an unknown bias (Chaloner and
-    Verdinelli 1995, linearised at the maximum).
+    0.5 ln det(I + C M). I is the identity, and C is the present covariance of z, the constants
+    transformed to standard normal numbers. M is the Fisher information of the candidate with an
+    unknown bias (Chaloner and Verdinelli 1995, linearised at the maximum).
 
     Parameters
     ----------
@@ -242,8 +242,8 @@ def expected_information(
         Forward model of each candidate log, keyed by name. Each model has the constants of
         `posterior`.
     among
-        Indices of the constants among which the widest interval is searched. Default: all
-        constants.
+        Indices of the constants that are candidates for `Gain.widest`. Default: all constants.
+        Default: all constants.
     """
     now = posterior.covariance_z
     places = list(among) or list(range(len(now)))

@@ -60,7 +60,7 @@ class LawMisfit:
         True for the law with a free exponent m and a minimum chip thickness. False for the law that
         is linear in the chip thickness and has the full edge force at any thickness.
     constants
-        Number of constants of the maximum-likelihood fit, without the scatter.
+        Number of constants in the maximum-likelihood fit. The scatter is not counted.
     size_exponent
         Exponent m of the maximum-likelihood fit; 0 for the linear law.
     chi_square
@@ -69,17 +69,18 @@ class LawMisfit:
     freedom
         Degrees of freedom of `chi_square`.
     p
-        Probability of a larger `chi_square`. None without a scatter or without degrees of freedom.
+        Probability of a larger `chi_square`. None if there is no scatter or no degree of freedom.
     aic
-        Akaike's information criterion, up to a constant that all laws of a table share. None if the
-        table has no scatter and has so few rows that the law could fit one load exactly.
+        Akaike's information criterion, up to an additive term that is equal for all laws of a
+        table. None if the table gives no scatter and the law could fit one load exactly because
+        there are few rows.
     left_out
-        Root mean square relative error of predicted loads. The loads of each row are predicted by
-        the law that is fitted to all other rows. None if the other rows do not determine the
-        constants.
+        Root mean square of the relative errors of the predicted loads. The loads of each row are
+        predicted by the law that is fitted to all other rows. None if the other rows do not
+        determine the constants.
     cited_chi_square, cited_p
-        Misfit with the cited ranges as priors (see the description of the module), and the
-        probability of a larger misfit. None without a scatter.
+        Chi-square of the fit with the cited ranges as priors (see the module description), and the
+        probability of a larger value. None without a scatter.
     """
 
     has_size_effect: bool
@@ -173,7 +174,7 @@ class MaximumLikelihood:
     Parameters
     ----------
     forward
-        Forward model of the loads of the table's rows. Each load is divided by its entry in
+        Forward model of the loads of the table's rows. Each load is divided by its unit in
         `SteadyTable.units`.
     table
         Measured loads.
@@ -215,7 +216,7 @@ class MaximumLikelihood:
                 self.aic = None
 
     def left_out(self) -> float | None:
-        """Return the root mean square relative error of rows predicted from the other rows."""
+        """Return the root mean square relative error of loads predicted from the other rows."""
         rows = np.arange(len(self._values))
         if (len(rows) - 1) * len(self._places) < self.constants:
             return None

@@ -69,7 +69,7 @@ class MeasuredLog:
     times_s
         Increasing times of the poses [s], shape (n,).
     tips_m
-        Tips of the tool in the scene's frame [m], shape (n, 3).
+        Positions of the tool's tip in the scene's frame [m], shape (n, 3).
     quaternions
         Orientations (x, y, z, w), shape (n, 4). None if the log has no orientations.
     load_times_s
@@ -80,7 +80,7 @@ class MeasuredLog:
     channels
         Names of the channels, such as ``force_x_N``.
     notes
-        Findings and assumptions, in sentences.
+        Sentences on findings and assumptions.
     """
 
     path: Path
@@ -113,26 +113,26 @@ class MeasuredLog:
 def log_of(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> MeasuredLog:
     """Return a log of a tool's poses and loads, read from the columns of a file.
 
-    For a run's own trace, `columns` is not needed. If a trace holds ``model_force`` (the force of
-    the tissue) and the force commanded to a device, ``model_force`` is used.
+    `columns` is not needed if the file is the trace of a run. If a trace holds ``model_force`` (the
+    force of the tissue) and the force commanded to a device, ``model_force`` is used.
 
     Parameters
     ----------
     path
-        The file, for messages.
+        Path of the file, used in messages.
     found
         Columns of the file.
     columns
-        ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT`` for quantities whose column
-        has another name. A minus reverses the sign. If UNIT is not given, the unit is taken from
-        the header of the column, or else from NAME. ``NAME=NUMBER`` gives a constant, and
-        ``time_s=RATE:Hz`` gives a rate in place of times.
+        ``NAME=COLUMN``, ``NAME=COLUMN:UNIT`` or ``NAME=-COLUMN:UNIT`` for each quantity NAME whose
+        column has a different name. A minus reverses the sign. If UNIT is not given, the unit is
+        taken from the header of the column, or else from NAME. ``NAME=NUMBER`` gives a constant,
+        and ``time_s=RATE:Hz`` gives a rate in place of times.
 
     Raises
     ------
     InputError
-        If a column is missing or holds impossible values, times do not increase, or the log is too
-        short.
+        If a column is missing or holds impossible values, if times do not increase, or if the log
+        is too short.
     """
     asked = parsed(columns, tuple(QUANTITIES))
     notes = list(found.notes)
@@ -268,7 +268,9 @@ def _merge(taken: dict[str, Array], notes: list[str]) -> None:
                 taken[name] = np.add.reduceat(taken[name], starts) / counts
             else:
                 taken[name] = taken[name][starts]
-        notes.append(f"{counted(equal, 'sample')} with the time of the one before are averaged")
+        notes.append(
+            f"{counted(equal, 'sample')} with the time of the previous sample are averaged"
+        )
 
 
 def _turns(taken: Mapping[str, Array], path: Path) -> Array | None:
@@ -321,7 +323,7 @@ SPEED_S = 0.1
 
 
 def without_saturation(loads: Array, channels: Sequence[str], notes: list[str]) -> Array:
-    """Return loads, shape (m, channels), in which NaN replaces saturated values; add notes.
+    """Return the loads with NaN in place of saturated values, and add sentences to `notes`.
 
     Parameters
     ----------
@@ -365,7 +367,7 @@ def _saturated(values: Array) -> list[float]:
 
 
 def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]:
-    """Return sentences on poses that are too slow for the loads, and on noise in the poses.
+    """Return sentences on noise in the poses, and on poses sampled too slowly for the loads.
 
     Parameters
     ----------
@@ -389,7 +391,7 @@ def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]
         notes.append(
             f"poses come every {1e3 * period_s:.3g} ms, loads every {1e3 * load_period_s:.3g} ms: "
             f"the straight path between poses is off by {1e3 * bend_m:.2g} mm at the sharpest "
-            "corner, log them faster"
+            "corner. Record poses at a higher rate"
         )
     # third differences of independent noise have sqrt(20) times its standard deviation
     deviations_m = SD_PER_MAD * np.median(np.abs(np.diff(tips_m, 3, axis=0)), axis=0)
@@ -401,8 +403,8 @@ def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]
     shaken_m_s = np.sqrt(2.0) * noise_m / period_s
     if shaken_m_s > fastest_m_s:
         notes.append(
-            f"poses have noise of {1e3 * noise_m:.2g} mm, a speed of {1e3 * shaken_m_s:.3g} mm/s "
-            f"between neighbours where the tool moves at {1e3 * fastest_m_s:.3g} mm/s at most: "
-            "smooth them first"
+            f"poses have noise of {1e3 * noise_m:.2g} mm, which gives a speed of "
+            f"{1e3 * shaken_m_s:.3g} mm/s between neighbouring poses, but the tool moves at "
+            f"{1e3 * fastest_m_s:.3g} mm/s at most: smooth the poses first"
         )
     return notes

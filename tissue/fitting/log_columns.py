@@ -49,7 +49,7 @@ NOT_OF_PLACE = (*OF_FORCE, "torque", "moment", "velocity", "vel", "acc", "orient
 
 
 def parsed(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
-    """Return the column, with sign and unit, of each quantity that a flag ``NAME=COLUMN`` names."""
+    """Parse flags ``NAME=COLUMN`` to a dictionary from quantity to column, with sign and unit."""
     asked: dict[str, str] = {}
     for text in texts:
         name, _, column = (part.strip() for part in text.partition("="))
@@ -67,17 +67,17 @@ def parsed(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
 def quantities(
     found: LogColumns, asked: Mapping[str, str], measures: Mapping[str, str], notes: list[str]
 ) -> tuple[dict[str, Array], list[str]]:
-    """Return the available quantities in SI units, keyed by name, and the unused columns.
+    """Return the available quantities in SI units, keyed by name, and the names of unused columns.
 
     Parameters
     ----------
     found
         Columns of the file.
     asked
-        Column with sign and unit, or a constant, keyed by the name of the quantity. Quantities
-        without a key are searched in the headers.
+        Column with sign and unit, or a number, keyed by the name of the quantity. For other
+        quantities, the function searches for a column with a matching header.
     measures
-        Kind of each quantity (a key of `UNITS`), keyed by the quantity's name with unit.
+        Kind of each quantity, keyed by the quantity's name with unit. A kind is a key of `UNITS`.
     notes
         List to which a sentence is added if a column's unit differs from the unit in the quantity's
         name.
@@ -189,7 +189,7 @@ def split_unit(text: str) -> tuple[str, str]:
 
 
 def from_first(values: dict[str, Array], notes: list[str]) -> None:
-    """Subtract the first time from times since 1970, in place."""
+    """Subtract the first time, in place, if the times are counted from 1970."""
     clocks = [name for name in ("time_s", "load_time_s") if len(values.get(name, ()))]
     start_s = min((float(values[name][0]) for name in clocks), default=0.0)
     if start_s > EPOCH_S:

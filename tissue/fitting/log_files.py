@@ -37,7 +37,7 @@ CHANNELS = ("force_x_N", "force_y_N", "force_z_N", "torque_x_Nm", "torque_y_Nm",
 
 
 def refusal(path: Path, requirement: str, value: str, remedy: str) -> InputError:
-    """Return the error for a measured file with a wrong value."""
+    """Return the error for a wrong value in a file of measurements."""
     return InputError("measured", requirement, f"{value} in {path.name}", remedy)
 
 
@@ -53,7 +53,7 @@ class LogColumns:
         Function that takes the name of a column and returns the numbers in the column, shape (n,).
         It raises InputError if the column holds no numbers.
     notes
-        Remarks on the columns, in words.
+        Remarks on the columns, as sentences.
     rate_Hz
         Sampling rate [Hz] that is stated in the text above the columns, or None.
     """
@@ -197,7 +197,7 @@ def _structs(path: Path) -> LogColumns:
 
 def _drilling(path: Path) -> LogColumns:
     """Return the poses and loads of a volumetric_drilling recording; both have their own times."""
-    held = read_drilling(path, what="measured")
+    held = read_drilling(path, argument="measured")
     poses = np.hstack([1e3 * held.tips_m, held.quaternions])
     columns = {"time_s": held.times_s, **dict(zip(TIPS + QUATERNION, poses.T, strict=True))}
     if held.load_times_s is not None and held.loads is not None and len(held.load_times_s):
@@ -249,7 +249,7 @@ def parquet_columns(file: Path) -> Answer:
     """Return the columns of a Parquet file, keyed by name.
 
     Before the file is read, its recorded size is compared with the memory limit. A column without
-    numbers is returned as an empty matrix, so that the caller knows its name.
+    numbers is returned as an empty array, so that its name is still listed.
     """
     import pyarrow.parquet
 
@@ -277,7 +277,7 @@ def mat_columns(file: Path) -> Answer:
     """Return the numeric arrays of a MATLAB file, keyed by name.
 
     The arrays in a struct are named after its fields. An entry without numbers is returned as an
-    empty matrix, so that the caller knows its name.
+    empty array, so that its name is still listed.
     """
     from scipy.io import loadmat
     from scipy.io.matlab import MatlabObject, MatlabOpaque

@@ -1,8 +1,9 @@
-"""Marginal distribution of one number of a fit, with Laplace's approximation of all other numbers.
+"""Marginal distribution of one fitted parameter, by Laplace's approximation of the others.
 
-The density of a number is evaluated on a grid. At each grid value, the other numbers are integrated
-out by Laplace's approximation about their most probable values (Tierney and Kadane 1986). A normal
-distribution about the most probable value would not be accurate enough in three cases:
+The density of a parameter is evaluated on a grid. At each grid value, the other parameters are
+integrated out by Laplace's approximation about their most probable values (Tierney and Kadane
+1986). A normal distribution about the most probable value would not be accurate enough in three
+cases:
 
 - A constant whose range spans decades, such as a value of 0.01 with a range from 0 to 0.1. The
   likelihood is symmetric in the value, but not in its standard normal number. With a normal
@@ -76,21 +77,21 @@ The error of the integral is below 1 % for three correlated constants.
 
 @dataclass(frozen=True)
 class Marginal:
-    """Marginal distribution of one number of a fit.
+    """Marginal distribution of one fitted parameter (constant or clock offset).
 
     Attributes
     ----------
     quantiles
         Quantiles at 5, 50 and 95 %, shape (3,).
     spread
-        Standard deviation of the number, divided by the standard deviation of its prior.
+        Standard deviation of the parameter, divided by the standard deviation of its prior.
     """
 
     quantiles: Array
     spread: float
 
     def widened(self, deviation: float) -> "Marginal":
-        """Return the distribution of the number with an additional independent error."""
+        """Return the distribution after an independent error is added to the parameter."""
         low, middle, high = self.quantiles.tolist()
         reach = Z_95 * deviation
         widest = [
@@ -102,14 +103,14 @@ class Marginal:
 
 
 def marginal(target: Target, maximum: Array, covariance: Array, at: int) -> Marginal:
-    """Compute the distribution of a constant or of the scaled clock offset, for fixed noise.
+    """Compute the marginal distribution of one parameter for fixed noise parameters.
 
     Parameters
     ----------
     target
         Log density.
     maximum, covariance
-        Maximum and covariance of the normal approximation, shapes (size,) and (places, places).
+        Maximum, shape (size,), and covariance, shape (places, places), of the normal approximation.
     at
         Index of the constant or offset in `maximum`.
     """
@@ -140,7 +141,7 @@ def marginal(target: Target, maximum: Array, covariance: Array, at: int) -> Marg
 
 
 def log_density_at(target: Target, start: Array, at: int) -> tuple[float, Array]:
-    """Compute the marginal log density of one number, and the best values of the other numbers.
+    """Compute the marginal log density of one parameter, and the most probable other values.
 
     The other constants, the offset and the biases are integrated out by Laplace's approximation.
 
@@ -149,10 +150,10 @@ def log_density_at(target: Target, start: Array, at: int) -> tuple[float, Array]
     target
         Log density.
     start
-        Start of the search, shape (size,). The number with index `at` and the noise keep their
-        values.
+        Start of the search, shape (size,). The parameter with index `at` and the noise parameters
+        keep their values.
     at
-        Index of the number.
+        Index of the parameter.
     """
     log_density, u = target.climbed(start, held=at)
     others = np.delete(np.arange(target.places), at)
@@ -166,18 +167,18 @@ def log_density_at(target: Target, start: Array, at: int) -> tuple[float, Array]
 
 
 def log_factor(mean: Array, covariance: Array) -> float:
-    """Compute ln(evidence with one-sided priors / evidence with normal priors).
+    """Compute the log ratio of the evidence with one-sided priors to that with normal priors.
 
     With normal priors, the posterior is normal. The evidence with one-sided priors is an integral
-    over the one-sided numbers. The integral is computed for one number at a time (Geweke,
-    Hajivassiliou and Keane). For each conditional distribution, the probabilities at zero and above
-    zero have a closed form.
+    over the numbers that have these priors. The integral is computed for one number at a time
+    (Geweke, Hajivassiliou and Keane). For each conditional distribution, the probabilities of zero
+    and of positive values have closed forms.
 
     Parameters
     ----------
     mean, covariance
         Mean, shape (k,), and covariance, shape (k, k), of the one-sided numbers under the normal
-        prior. Positive values of these numbers lie inside the range of the constant.
+        prior. A positive value lies inside the range of the constant.
     """
     if not len(mean):
         return 0.0

@@ -28,30 +28,30 @@ from tissue.scene.tool import Probe
 
 @dataclass(frozen=True, eq=False)
 class OrganForward:
-    """Approximation of the loads near the constants of one run.
+    """Approximation of the loads for constants near the constants of one run.
 
-    If all moduli of an organ change by one factor and all other constants stay the same, the force
-    on a given path changes by this factor. Runs therefore use the cited value of the first modulus,
-    and scale the other moduli in proportion.
+    If all moduli of an organ are multiplied by one factor and all other constants stay the same,
+    the force on a given path is multiplied by the same factor. Each run therefore uses the cited
+    value of the first modulus, and the other moduli are scaled in proportion.
 
     Attributes
     ----------
     parameters, channels, times_s
         See `tissue.fitting.problem.Forward`.
     moduli
-        Indices of the moduli that scale the loads together. Empty if the loads are not proportional
-        to them, see `tissue.fitting.organ_runs.organ_parameters`.
-    at
+        Indices of the moduli to which the loads are jointly proportional. Empty if the loads are
+        not proportional to the moduli, see `tissue.fitting.organ_runs.organ_parameters`.
+    constants
         Constants of the run, shape (p,).
-    base
+    run_loads
         Loads of the run, shape (n, channels).
     slopes
-        Coefficients, shape (n, channels, p), that multiply the distance of each constant from `at`.
-        They are zero for the first modulus. For a relaxation time, the distance is measured in its
-        logarithm.
+        Coefficients, shape (n, channels, p), that multiply the difference between each constant and
+        its value in `constants`. They are zero for the first modulus. For a relaxation time, the
+        difference of the logarithms is used.
     curved
         Coefficients, shape (n, channels, p, p), that multiply the squares and products of the
-        distances. The matrix is symmetric: entries (i, j) and (j, i) each hold half of the
+        differences. The matrix is symmetric: entries (i, j) and (j, i) each hold half of the
         coefficient of a product.
     """
 
@@ -59,16 +59,16 @@ class OrganForward:
     channels: tuple[str, ...]
     times_s: Array
     moduli: tuple[int, ...]
-    at: Array
-    base: Array
+    constants: Array
+    run_loads: Array
     slopes: Array
     curved: Array
 
     def reduced(self, x: Array) -> tuple[float, Array]:
-        """Return the ratio of the loads at `x` to the loads of a scaled run, and its constants.
+        """Return the load ratio between `x` and a run with scaled moduli, and that run's constants.
 
-        One factor scales the moduli in `x` to the moduli of this run, whose first modulus is that
-        in `at`. If `moduli` is empty, the results are 1 and `x`.
+        All moduli in `x` are scaled by one factor. In the scaled run, the first modulus is equal to
+        the first modulus in `constants`. If `moduli` is empty, the results are 1 and `x`.
         """
         x = np.asarray(x, dtype=float)
         # the loads are not proportional to moduli: a run with x itself is needed
@@ -76,10 +76,10 @@ class OrganForward:
             return 1.0, x
         first = self.moduli[0]
         others = list(self.moduli)
-        scale = float(x[first] / self.at[first])
+        scale = float(x[first] / self.constants[first])
         same = x.copy()
         same[others] = x[others] / scale
-        same[first] = self.at[first]
+        same[first] = self.constants[first]
         return scale, same
 
     def loads(self, x: Array) -> Array:
@@ -100,46 +100,46 @@ class OrganForward:
         of_others = found[..., others] @ same[others]
         found *= scale
         found[..., others] /= scale
-        found[..., first] = (self._of_run(distance) - of_others) / self.at[first]
+        found[..., first] = (self._of_run(distance) - of_others) / self.constants[first]
         return found
 
-    def moved(self, at: Array, base: Array, *, learnt: float) -> "OrganForward":
+    def moved(self, constants: Array, run_loads: Array, *, learnt: float) -> "OrganForward":
         """Return a model with the loads of another run as its base, and with corrected slopes.
 
-        With the corrected slopes, the model of the last run predicts the loads of the other run
-        (Broyden 1965).
+        With the corrected slopes, the present model predicts the loads of the other run (Broyden
+        1965).
 
         Parameters
         ----------
-        at, base
+        constants, run_loads
             Constants of the other run, and its loads.
         learnt
-            Step from the last run, in standard deviations of the priors, below which slopes are not
-            corrected. The loads over a shorter step mainly show single nodes that come into
-            contact.
+            Smallest step from the last run, in standard deviations of the priors, for which the
+            slopes are corrected. On a shorter step, the change of the loads comes mainly from
+            single mesh nodes that come into contact.
         """
-        distance = self.distance(at)
+        distance = self.distance(constants)
         middle = np.array([each.prior.value for each in self.parameters])
         widths = np.array([each.prior.slope(0.0) for each in self.parameters])
         step = distance / np.where(self._logarithmic, widths / middle, widths)
         slopes = self._slopes_at(distance)
         # a shorter step would explain single nodes that come into contact
         if np.linalg.norm(step) >= learnt:
-            missed = base - self._of_run(distance)
+            missed = run_loads - self._of_run(distance)
             along = np.divide(step**2, distance, out=np.zeros_like(step), where=distance != 0.0)
             slopes = slopes + missed[..., None] * along / (step @ step)
-        return replace(self, at=at, base=base, slopes=slopes)
+        return replace(self, constants=constants, run_loads=run_loads, slopes=slopes)
 
     def distance(self, x: Array) -> Array:
-        """Return the distance from the constants of the run to other constants, shape (p,)."""
-        return np.where(self._logarithmic, np.log(x / self.at), x - self.at)
+        """Return the difference between `x` and the constants of the run, shape (p,)."""
+        return np.where(self._logarithmic, np.log(x / self.constants), x - self.constants)
 
     @cached_property
     def _logarithmic(self) -> Array:
         return np.array([each.name.endswith("_s") for each in self.parameters])
 
     def _of_run(self, distance: Array) -> Array:
-        return np.asarray(self.base + (self.slopes + self.curved @ distance) @ distance)
+        return np.asarray(self.run_loads + (self.slopes + self.curved @ distance) @ distance)
 
     def _slopes_at(self, distance: Array) -> Array:
         return np.asarray(self.slopes + 2.0 * self.curved @ distance)
@@ -207,8 +207,8 @@ class Settled:
     posterior
         Posterior of the constants given the log.
     away
-        Distance of the most probable constants from the constants of the last run, in standard
-        deviations.
+        Largest distance of a most probable constant from its value in the last run, in standard
+        deviations of the constant.
     """
 
     forward: OrganForward
@@ -219,11 +219,11 @@ class Settled:
 def organ_problem(
     scene: Scene, log: MeasuredLog, free: Sequence[str], *, cores: int | None, progress: Progress
 ) -> Problem:
-    """Return the data for fitting a probe that presses an organ, see `fit_scene`.
+    """Return the fit data for the log of a probe that presses an organ (see `fit_scene`).
 
     The organ is simulated along the poses of the log with the initial constants, and then with one
-    constant changed at a time. Further runs use the fitted constants, until these agree with the
-    constants of the last run.
+    constant changed at a time. Further runs use the fitted constants, until the next fit agrees
+    with the constants of the last run.
     """
     poses = Poses(log.times_s, log.tips_m, log.quaternions_of(scene))
     parameters, moduli = organ_parameters(scene, free)
@@ -255,18 +255,18 @@ def _on_finer_mesh(
     """
     forward = found.forward
     try:
-        base = runs.of(finer_scene(scene), _named(forward.parameters, forward.at))
+        base = runs.of(finer_scene(scene), _named(forward.parameters, forward.constants))
     except InputError as refusal:
         return None, f"intervals are without the error of the mesh: {refusal}"
-    share = float(np.linalg.norm(base - forward.base) / np.linalg.norm(base))
+    share = float(np.linalg.norm(base - forward.run_loads) / np.linalg.norm(base))
     parts = []
     for rows in np.array_split(np.arange(len(base)), PARTS):
-        mixed = forward.base.copy()
+        mixed = forward.run_loads.copy()
         mixed[rows] = base[rows]
-        parts.append(replace(forward, base=mixed))
-    return (replace(forward, base=base), *parts), (
-        f"a mesh of {1.0 / FINER:.0%} of the edges changes the loads by {share:.1%}, which the "
-        "intervals contain"
+        parts.append(replace(forward, run_loads=mixed))
+    return (replace(forward, run_loads=base), *parts), (
+        f"a mesh with {1.0 / FINER:.0%} of the edge lengths changes the loads by {share:.1%}. The "
+        "intervals contain this change"
     )
 
 
@@ -290,12 +290,12 @@ def settled(
     measured: MeasuredLoads,
     progress: Progress,
 ) -> Settled:
-    """Return a model of the loads, computed from runs near the most probable constants of a log.
+    """Compute a model of the loads from runs near the most probable constants of a log.
 
     Slopes are computed from the load differences between runs with nearby constants. Further runs
-    use the fitted constants and correct the slopes, until the fitted constants agree with the
-    constants of the last run. The slopes are then computed again at these constants, with changes
-    as wide as the uncertainty of the constants.
+    use the fitted constants and serve to correct the slopes. They end when the fitted constants
+    agree with the constants of the last run. The slopes are then computed again at these constants.
+    The change of each constant is as large as its uncertainty.
     """
     at = np.array([each.prior.x(0.0) for each in parameters])
     spread = None
@@ -335,7 +335,7 @@ def _next(forward: OrganForward, posterior: Posterior, spread: Array) -> tuple[A
     _, same = forward.reduced(x_of(posterior.mean_z))
     wanted, last = (
         np.array([prior.z(x) for prior, x in zip(posterior.priors, of, strict=True)])
-        for of in (same, forward.at)
+        for of in (same, forward.constants)
     )
     at = x_of(np.clip(wanted, -FARTHEST, FARTHEST))
     return at, float(np.max(np.abs(wanted - last) / spread))
@@ -348,13 +348,15 @@ def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> Org
     otherwise. Two constants whose standard deviations exceed `WIDE` are also changed together,
     because the posterior may have a ridge along both.
     """
-    places = [at for at in range(len(forward.at)) if at not in forward.moduli[:1]]
+    places = [at for at in range(len(forward.constants)) if at not in forward.moduli[:1]]
     if not places:
         return forward
-    reach = np.full(len(forward.at), FIRST_STEP) if spread is None else np.clip(spread, *STEPS)
+    reach = (
+        np.full(len(forward.constants), FIRST_STEP) if spread is None else np.clip(spread, *STEPS)
+    )
 
     def stepped(*moves: tuple[int, float]) -> Array:
-        x = forward.at.copy()
+        x = forward.constants.copy()
         for at, sign in moves:
             prior = forward.parameters[at].prior
             x[at] = prior.x(prior.z(x[at]) + sign * reach[at])
@@ -371,7 +373,7 @@ def _sloped(forward: OrganForward, runs: OrganRuns, spread: Array | None) -> Org
     products = pairs if spread is None else [*((at, at) for at in places), *pairs]
     terms = [(at,) for at in places] + products
     design = np.column_stack([distances[:, list(term)].prod(axis=1) for term in terms])
-    coefficients = np.tensordot(np.linalg.inv(design), found - forward.base, 1)
+    coefficients = np.tensordot(np.linalg.inv(design), found - forward.run_loads, 1)
     slopes = np.zeros_like(forward.slopes)
     curved = np.zeros_like(forward.curved)
     slopes[..., places] = np.moveaxis(coefficients[: len(places)], 0, -1)

@@ -66,8 +66,8 @@ def organ_parameters(
 ) -> tuple[tuple[Parameter, ...], tuple[int, ...]]:
     """Return the free parameters and the indices of the moduli that scale the loads.
 
-    The loads are proportional to these moduli if all of them change by the same factor. There are
-    no such moduli if the organ deforms under its own weight, or if another modulus is fixed.
+    The loads are proportional to these moduli if all of them change by the same factor. The tuple
+    of indices is empty if the organ deforms under its own weight, or if a modulus is not free.
 
     Raises
     ------
@@ -165,7 +165,8 @@ A short time is needed because measured tissue has no latency.
 class Poses:
     """Poses of a log in the scene's frame.
 
-    The times [s] have shape (n,), the tips [m] shape (n, 3) and the orientations shape (n, 4).
+    The times [s] have shape (n,), the tip positions [m] have shape (n, 3), and the orientations
+    have shape (n, 4).
     """
 
     times_s: Array
@@ -174,7 +175,7 @@ class Poses:
 
 
 class OrganRuns:
-    """Runs of an organ along a log's poses.
+    """Simulations of an organ and a tool that moves along the poses of a log.
 
     Runs are distributed over several processes.
 
@@ -187,7 +188,7 @@ class OrganRuns:
     channels
         Names of the loads that are kept, such as ``force_x_N``.
     every
-        Ticks between two loads that are kept.
+        Number of ticks from one kept load to the next.
     cores
         Largest number of processes for the runs.
 
@@ -215,7 +216,7 @@ class OrganRuns:
         self._cores = cores
 
     def of(self, scene: Scene, sample: Mapping[str, float]) -> Array:
-        """Return the loads of one run of another scene along the same poses."""
+        """Return the loads of a run of `scene` with the constants `sample` along the same poses."""
         return _loads(scene, *self._settings, sample)
 
     def __call__(self, samples: Sequence[Mapping[str, float]]) -> list[Array]:

@@ -20,7 +20,7 @@ FRAME = 1.0
 
 @styled
 def draw_log(log: MeasuredLoads, simulated: Array, path: Path) -> None:
-    """Draw measured and simulated loads over time, with their residuals.
+    """Draw the measured loads, the simulated loads and their residuals over time.
 
     A residual is a measured load minus the simulated load. Forces and torques have separate panels,
     each with its residuals below.
@@ -74,7 +74,7 @@ def draw_rows(
     Parameters
     ----------
     label, x
-        Label and values of the horizontal axis, shape (n,).
+        Label of the horizontal axis, and its values, shape (n,).
     loads
         Three arrays for each panel, keyed by the label of the vertical axis. The first array is the
         measured load, shape (n,). The second array holds the half lengths of the error bars, shape
@@ -100,7 +100,7 @@ def draw_constants(constants: Sequence[ConstantFit], path: Path, *, source: str)
     """Draw medians and 90 % intervals of constants before and after a fit.
 
     The horizontal axis is in standard deviations of the prior. `source` names the kind of
-    measurement in the text of the picture.
+    measurement in the labels of the picture.
     """
     chart, (axes,) = panelled("constants of the fit", (8.0, FRAME + ROW * len(constants)))
     labels = []

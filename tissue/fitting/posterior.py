@@ -56,7 +56,7 @@ small compared with an interval, which is 3.3 standard deviations wide.
 class Posterior:
     """Normal approximation of the posterior of constants given a measured log.
 
-    The constants are transformed to numbers whose priors are standard normal.
+    The constants are transformed so that their priors are standard normal.
 
     Attributes
     ----------
@@ -64,16 +64,17 @@ class Posterior:
         Log density of the constants and of the nuisance parameters (clock offset, biases and
         noise).
     maximum
-        Most probable numbers, shape (size,): constants, offset, biases and noise.
+        Most probable values of the transformed parameters, shape (size,), in the order constants,
+        offset, biases, noise.
     covariance
         Covariance of the constants, the offset and the biases, shape (q, q), where q is their
         number.
     converged
         True if a maximum was found.
     mesh_z
-        Shift of the constants due to the mesh error of the runs, as standard normal numbers, shape
-        (p,). The credible intervals of the constants are widened by this shift. None if the loads
-        have no mesh.
+        Shift of the transformed constants due to the mesh error of the runs, shape (p,). The
+        credible intervals of the constants are widened by this shift. None if the loads are
+        computed without a mesh.
     """
 
     target: Target
@@ -94,14 +95,15 @@ class Posterior:
 
     @property
     def mean_z(self) -> Array:
-        """Most probable standard normal numbers of the constants, shape (p,)."""
+        """Most probable values of the transformed constants, shape (p,)."""
         return self.maximum[: self.target.constants]
 
     @property
     def covariance_z(self) -> Array:
-        """Covariance of the constants' standard normal numbers, shape (p, p).
+        """Posterior covariance of the transformed constants, shape (p, p).
 
-        The clock offset and the sensor biases are free. The mesh error is included.
+        The uncertainty of the clock offset and of the sensor biases is included. The mesh error is
+        included.
         """
         p = self.target.constants
         found = self.covariance[:p, :p]
@@ -114,7 +116,7 @@ class Posterior:
 
     @cached_property
     def offset_interval_s(self) -> tuple[float, float]:
-        """90 % interval of the offset of the clocks [s]."""
+        """90 % interval of the offset between the two clocks [s]."""
         found = marginal(self.target, self.maximum, self.covariance, self.target.constants)
         low, _, high = (OFFSET_S * found.quantiles).tolist()
         return low, high
@@ -136,21 +138,21 @@ class Posterior:
     def with_mesh(
         self, whole: "Posterior", parts: Sequence["Posterior"], factor: float
     ) -> "Posterior":
-        """Return the posterior with the error of the mesh added, from fits on a finer mesh.
+        """Return the posterior, widened by the mesh error estimated from fits on a finer mesh.
 
-        The mesh errors of different parts of the log may cancel in a constant by chance. The error
-        of a constant is therefore at least the root of the sum of squares of the errors of the
-        parts.
+        In the value of a constant, the mesh errors of different parts of the log may cancel by
+        chance. The error of a constant is therefore at least the root sum of squares of its errors
+        from the parts.
 
         Parameters
         ----------
         whole
             Fit of the same log on a finer mesh.
         parts
-            Fits of the same log, each with the finer mesh in one part of the log.
+            Fits of the same log. Each fit uses the finer mesh in one part of the log only.
         factor
-            Error of the present mesh, divided by the difference between the results on the present
-            mesh and on the finer mesh.
+            Ratio of the error on the present mesh to the difference between the results on the two
+            meshes.
         """
         shifts = np.array([each.mean_z - self.mean_z for each in parts])
         least = np.sqrt(np.sum(shifts**2, axis=0))
@@ -160,7 +162,7 @@ class Posterior:
 
     @property
     def spreads(self) -> Array:
-        """Standard deviation of each constant relative to its prior, shape (p,)."""
+        """Posterior standard deviation of each constant divided by the prior one, shape (p,)."""
         return np.array([each.spread for each in self.marginals])
 
     def interval(self, at: int) -> tuple[float, float, float]:
@@ -170,14 +172,14 @@ class Posterior:
 
     @property
     def simulated(self) -> Array:
-        """Simulated loads at the maximum, with offset and bias, shape (m, channels)."""
+        """Loads at the most probable constants, clock offset and biases, shape (m, channels)."""
         return self.target.simulated(self.maximum)
 
 
 def maximum_posterior(forward: Forward, log: MeasuredLoads) -> Posterior:
     """Find the most probable constants and their normal approximation.
 
-    The covariance follows from the expected information at the maximum, and the noise from the
+    The covariance follows from the expected information at the maximum. The noise follows from the
     restricted likelihood (see `tissue.fitting.target`).
     """
     return maximum_of(Target(forward, log))
@@ -227,7 +229,7 @@ def _with_offset(target: Target, u: Array, added_s: float) -> Array:
 
 
 def starts(target: Target) -> list[tuple[float, Array]]:
-    """Return log densities and numbers of first guesses at several clock offsets, best first."""
+    """Return first guesses at several clock offsets, each with its log density, best first."""
     guesses = [target.start(float(offset_s)) for offset_s in OFFSETS_S]
     return sorted(((target.value(u), u) for u in guesses), key=lambda each: -each[0])
 

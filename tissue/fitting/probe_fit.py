@@ -48,7 +48,7 @@ FINER = 1.5
 The force converges with second order, so the difference is more than half of the error of the
 coarser mesh.
 """
-DETERMINED = 2.0
+DETERMINED_RATIO = 2.0
 """Largest ratio of the ends of an interval for which a constant counts as determined."""
 SEED = 42
 POOR = 0.03
@@ -67,7 +67,7 @@ different presses are independent.
 
 @dataclass(frozen=True, eq=False)
 class FittedCurve:
-    """Constants that fit curves best, one row for each of n curves.
+    """Best-fitting constants of n curves, one row for each curve.
 
     Attributes
     ----------
@@ -88,13 +88,18 @@ class FittedCurve:
 
 
 def median_curve(forces_N: Array, draws: Ints | None = None) -> Array:
-    """Return the median of presses at each depth, shape (d,), or one for each row of `draws`."""
+    """Return the median of the presses at each depth, shape (d,).
+
+    With `draws`, return one median curve for each row of press indices in `draws`.
+    """
     chosen = forces_N if draws is None else forces_N[draws]
     return np.median(chosen, axis=-2)
 
 
 def fit_curves(curves: ProbeCurves, forces_N: Array) -> FittedCurve:
-    """Fit force curves by least squares, over all computed values of the shape constants.
+    """Fit force curves by least squares.
+
+    The shape constants are chosen from all sets of values for which forces were computed.
 
     Parameters
     ----------
@@ -120,7 +125,7 @@ def fit_curves(curves: ProbeCurves, forces_N: Array) -> FittedCurve:
 
 @dataclass(frozen=True, eq=False)
 class ProbeFit(Fitted):
-    """Constants of an elastic law, fitted to presses.
+    """Elastic constants fitted to the force curves of a pressed probe.
 
     Attributes
     ----------
@@ -142,7 +147,7 @@ class ProbeFit(Fitted):
         L2 norm of the difference between the fitted and the median curve, divided by the L2 norm of
         the median curve.
     notes
-        Findings and assumptions, in sentences.
+        Findings and assumptions of the fit, one sentence each.
     """
 
     name: str
@@ -180,14 +185,14 @@ class ProbeFit(Fitted):
         return {"depth_mm": 1e3 * self.table.depths_m} | measured | {"fitted_N": self.force_N}
 
     def draw(self, path: Path) -> None:
-        """See `Fitted`. The bars are the range of the presses from 5 to 95 %."""
+        """See `Fitted`. The error bars show the 5 % to 95 % range of the measured presses."""
         depths_mm, middle, low, high, fitted = self.columns.values()
         bars = np.stack([middle - low, high - middle])
         draw_rows("depth / mm", depths_mm, {"force / N": (middle, bars, fitted)}, path)
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """See `Fitted`: constants that the presses do not limit, and a poor fit."""
+        """Sentences on constants that the presses do not limit, and on a poor fit, see `Fitted`."""
         found = self._misfits()
         for each in self.constants:
             key = each.name.rpartition(".")[2]
@@ -235,15 +240,17 @@ class ProbeFit(Fitted):
 
 
 def common_pattern(forces_N: Array, fitted_N: Array) -> float:
-    """Return the mean residual over the presses, divided by its standard error (L2 norms).
+    """Return the L2 norm of the mean residual, divided by the L2 norm of its standard error.
 
-    The fitted curve is scaled and shifted to each press before the residual is computed. Residuals
-    are divided by the range of the press. The norms are taken over the depths.
+    Mean and standard error are taken over the presses.
+
+    The fitted curve is scaled and shifted to match each press before the residual is computed.
+    Residuals are divided by the force range of their press. The norms are taken over the depths.
 
     Parameters
     ----------
     forces_N
-        Presses, shape (n, d).
+        Forces of each press [N], shape (n, d).
     fitted_N
         Fitted curve, shape (d,).
     """
@@ -264,7 +271,7 @@ def common_pattern(forces_N: Array, fitted_N: Array) -> float:
 def presses_for(
     scene: Scene, path: Path, found: LogColumns, columns: Sequence[str] = ()
 ) -> ProbeTable:
-    """Read a table of presses, and check that it can be fitted with a scene.
+    """Read a table of presses, and check that the scene's constants can be fitted to it.
 
     No force is computed. The parameters are those of `tissue.fitting.probe_table.read_presses`.
 
@@ -300,18 +307,18 @@ def fit_probes(
     free: Sequence[str] = (),
     progress: Progress = silent,
 ) -> ProbeFit:
-    """Fit Young's modulus and the shape of a law to presses on a slab.
+    """Fit Young's modulus and the shape constants of an elastic law to presses on a slab.
 
     Parameters
     ----------
     scene
-        Scene with a slab of one material on its bed, and a ball. Motion, friction and device of
-        the scene are ignored.
+        Scene with a slab of one material on a bed, and a ball as tool. Motion, friction and device
+        of the scene are ignored.
     table
         Table of the presses.
     free
-        Names of the constants to find; the modulus is always free. By default the shape constants
-        of the law that are above zero are free too.
+        Names of the constants to find; the modulus is always free. By default, all shape constants
+        above zero are free too.
     progress
         Called with a description of the current step.
 
@@ -394,7 +401,7 @@ def _constant(parameter: Parameter, values: tuple[float, Array, float], count: i
     lowest, value, highest = np.exp([best - below, best, best + above]).tolist()
     ends = np.asarray(prior.z([lowest, value, highest, prior.low, prior.high])).tolist()
     spread = (ends[2] - ends[0]) / (2.0 * norm.ppf(0.95))
-    state = "determined" if highest < DETERMINED * lowest else "narrowed"
+    state = "determined" if highest < DETERMINED_RATIO * lowest else "narrowed"
     return ConstantFit(
         parameter.name,
         prior,

@@ -61,7 +61,7 @@ THICKNESSES = 0.7
 
 @dataclass(frozen=True)
 class LayerScene:
-    """Geometry and elastic law of a scene that can be fitted to a table of presses."""
+    """Geometry and elastic law of a scene whose constants can be fitted to a table of presses."""
 
     organ: Organ
     radius_m: float
@@ -78,8 +78,8 @@ class ProbeCurves:
     keys
         Keys of the k shape constants in the table `organ` of a scene.
     shapes
-        Values of the shape constants, shape (s, k). A law without shape constants has one empty
-        row.
+        Values of the shape constants, shape (s, k). For a law without shape constants, the array
+        has one empty row.
     unit_N_Pa
         Force for a Young's modulus of 1 Pa, shape (s, d).
     """
@@ -90,13 +90,12 @@ class ProbeCurves:
 
 
 def layer_scene(scene: Scene) -> LayerScene:
-    """Return the radius of the ball, the thickness of the layer and its elastic law in a scene.
+    """Return the ball's radius, the layer's thickness and the layer's elastic law of a scene.
 
     Raises
     ------
     InputError
-        If the scene has another organ than a slab of one isotropic material, or another probe than
-        a ball.
+        If the organ is not a slab of one isotropic material, or the probe is not a ball.
     """
     anatomy = scene.anatomy
     organ = with_cited_shape(scene.organ, scene.constants)
@@ -141,7 +140,7 @@ def require_shallow(layer: LayerScene, deepest_m: float) -> None:
     Raises
     ------
     InputError
-        If the ball is pressed too deep for its radius or for the layer.
+        If the depth is too large relative to the ball's radius or the layer's thickness.
     """
     largest_m = min(DEEPEST * layer.radius_m, THICKNESSES * layer.thickness_m)
     if deepest_m > largest_m:
@@ -174,14 +173,14 @@ def probe_curves(
     keys
         Names of the shape constants that vary, at most two.
     first
-        Edge of the cells under the ball, divided by the radius of the ball.
+        Edge length of the mesh cells under the ball, divided by the ball's radius.
     progress
         Called with the completed share.
 
     Raises
     ------
     InputError
-        If the ball is pressed too deep for its radius or for the layer.
+        If a depth is too large relative to the ball's radius or the layer's thickness.
     """
     deepest_m = float(depths_m.max())
     require_shallow(layer, deepest_m)

@@ -30,12 +30,12 @@ SHORT = 0.9
 
 @dataclass(frozen=True, eq=False)
 class ProbeTable:
-    """Presses of one tissue, at common depths.
+    """Forces of several presses on one tissue, at the same depths.
 
     Attributes
     ----------
     path
-        File.
+        File from which the table was read.
     depths_m
         Increasing depths [m], shape (d,), measured from the first contact.
     forces_N
@@ -61,17 +61,18 @@ def is_probe_table(names: Sequence[str], columns: Sequence[str]) -> bool:
 def read_presses(
     path: Path, found: LogColumns, columns: Sequence[str] = ()
 ) -> tuple[list[Press], tuple[str, ...]]:
-    """Read presses from the columns of a file; return the presses and notes.
+    """Return the presses in the columns of a file, and notes on them.
 
     Parameters
     ----------
     path
-        The file, for messages.
+        Path of the file, used in error messages.
     found
-        Columns of the file: ``depth_mm``, ``force_N``, and ``probe`` with the number of the press.
-        Without ``probe``, a press begins where the depth falls.
+        Columns of the file: ``depth_mm``, ``force_N``, and ``probe``, which numbers the presses.
+        Without ``probe``, a new press begins where the depth decreases.
     columns
-        ``NAME=COLUMN`` or ``NAME=COLUMN:UNIT`` for a column with another name or unit.
+        ``NAME=COLUMN`` or ``NAME=COLUMN:UNIT`` for a quantity whose column has another name or
+        unit.
 
     Raises
     ------
@@ -104,7 +105,7 @@ def read_presses(
 
 
 def at_common_depths(path: Path, presses: list[Press], notes: tuple[str, ...]) -> ProbeTable:
-    """Return the forces of presses at the medians of their depths.
+    """Interpolate all presses to the same depths, the medians of the measured depths.
 
     Raises
     ------

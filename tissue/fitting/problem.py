@@ -26,11 +26,11 @@ class Parameter:
     prior
         Prior that the fit uses for the constant.
     cited
-        Original prior of a constant whose cited value is an end of its range, such as a size
-        exponent of 0. For such a constant, `prior` is the original prior mirrored at this end
-        (`Prior.mirrored`), because the linear algebra of the fit needs values on both sides. Values
-        beyond the end count as the end itself, see `tissue.fitting.marginal`. None for a constant
-        whose cited value lies inside its range.
+        Original prior, if the cited value of the constant is an end of its range, such as a size
+        exponent of 0. In this case, `prior` is the original prior mirrored at this end
+        (`Prior.mirrored`), because the fit needs values on both sides of the end. Values beyond the
+        end are replaced by the end, see `tissue.fitting.marginal`. None for a constant whose cited
+        value lies inside its range.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Parameter:
 
     @property
     def side(self) -> float:
-        """Side of the cited value on which values are possible.
+        """Side of the cited value on which the constant may lie.
 
         The side is 1 above the cited value, -1 below it, and 0 if values on both sides are
         possible.
@@ -63,10 +63,10 @@ def chosen(
     possible: Sequence[Parameter],
     tags: Mapping[str, str] | None = None,
 ) -> list[Parameter]:
-    """Return the parameters that patterns select; if there is no pattern, return all parameters.
+    """Return the parameters that match the patterns, or all parameters if there are no patterns.
 
-    A pattern consists of words separated by dots. The first word is the table of the constant. The
-    other words are parts of the constant's name, words within these parts, or the constant's tag.
+    A pattern consists of words separated by dots. The first word is the table of the constant. Each
+    other word is a part of the constant's name, a word in such a part, or the constant's tag.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def chosen(
     possible
         Parameters to choose from.
     tags
-        Additional word that selects a parameter, keyed by the name of the parameter.
+        Tags: additional words that select a parameter, keyed by the parameter's name.
 
     Raises
     ------
@@ -112,12 +112,12 @@ class Forward(Protocol):
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Measured channels, such as ``force_x_N``, on the tool in the world frame."""
+        """Names of the load components on the tool in the world frame, such as ``force_x_N``."""
         ...
 
     @property
     def times_s(self) -> Array:
-        """Increasing times on the clock of the poses, shape (n,)."""
+        """Increasing times of the loads on the clock of the poses [s], shape (n,)."""
         ...
 
     def loads(self, x: Array) -> Array:
@@ -152,7 +152,7 @@ class MeasuredLoads:
     channels
         Names with units, such as ``force_x_N``.
     within_s
-        Times [s] relative to the time of a sample, shape (k,). A sample is the mean of the loads at
+        Times relative to the time of a sample [s], shape (k,). A sample is the mean of the loads at
         these times.
     """
 
@@ -166,8 +166,8 @@ class MeasuredLoads:
 
         Outliers have little influence.
 
-        All channels with the same unit (N or N m) get the largest of their root mean squares.
-        Otherwise, a channel without load would get the size of its noise.
+        All channels with the same unit get the same size: the largest root mean square among them.
+        Without this rule, the size of an unloaded channel would be that of its noise.
         """
         middle = np.nanmedian(self.values, axis=0)
         spread = SD_PER_MAD * np.nanmedian(np.abs(self.values - middle), axis=0)
@@ -182,7 +182,7 @@ class MeasuredLoads:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Data of a fit: function for the loads, measured log, and logs that could be measured next.
+    """Data of a fit: load function, measured log, and logs that could be measured next.
 
     Attributes
     ----------
@@ -193,19 +193,19 @@ class Problem:
     block_s
         Length of a block [s].
     candidates
-        Function that returns the logs that could be measured next, as a dictionary from description
-        to forward model.
+        Function that returns the forward models of logs that could be measured next, keyed by
+        description.
     notes
         Remarks for the report.
     fixed
         Fixed constants on which the free constants depend, keyed by name.
     finer
-        Functions from the constants to the loads with a finer mesh. The first function uses the
-        finer mesh in the whole log. Each further function uses it in one part of the log. None if
-        the loads have no mesh.
+        Load functions that use a finer mesh. The first function uses the finer mesh for the whole
+        log. Each further function uses it in one part of the log. None if the loads are computed
+        without a mesh.
     mesh_factor
-        Ratio of the error of `forward` to the difference between the loads of `forward` and the
-        loads with the finer mesh.
+        Error of `forward`, divided by the difference between its loads and the loads on the finer
+        mesh.
     """
 
     forward: Forward
@@ -240,7 +240,7 @@ Hz. Neither contains information about constants.
 def block_ticks(duration_s: float, period_s: float) -> int:
     """Return the number of ticks in a block, over which a log is averaged.
 
-    A block of a log slower than 200 Hz holds one sample.
+    If the log is sampled below 200 Hz, a block holds one sample.
 
     Parameters
     ----------
@@ -267,7 +267,7 @@ def block_averages(
     channels
         Names of the channels.
     ticks
-        Ticks of a block.
+        Number of ticks in a block.
 
     Raises
     ------
@@ -308,8 +308,8 @@ def shift_operators(
     """Return matrices that interpolate from `times_s` to the times ``wanted_s - offset_s``.
 
     The interpolation is a cubic through four neighbours (Catmull and Rom, 1974). Its slope is
-    continuous, so the derivative with respect to the offset is continuous too. Before the first
-    time and after the last time, the value at the end is used.
+    continuous, so the derivative with respect to the offset is continuous too. Before the first and
+    after the last known time, the nearest known value is used.
 
     Parameters
     ----------
@@ -321,7 +321,7 @@ def shift_operators(
     offset_s
         The offset [s].
     within_s
-        Times relative to each wanted time over which the mean is computed [s], shape (k,).
+        Times relative to a wanted time [s], shape (k,). The values at these times are averaged.
 
     Returns
     -------

@@ -18,12 +18,13 @@ NUISANCES = ("density.", KEYS)
 
 Such numbers are not constants of a material.
 """
-FAR = 3.0
+FAR_SD = 3.0
 FAR_TIMES = 10.0
 """Factor above or below the cited range beyond which a value contradicts its prior.
 
-This limit is needed in addition to `FAR`, because some priors have a heavy tail towards zero. `FAR`
-is a limit in standard deviations of the prior. By chance, 0.3 % of the constants lie beyond it.
+This limit is needed in addition to `FAR_SD`, because some priors have a heavy tail towards zero.
+`FAR_SD` is a limit in standard deviations of the prior. By chance, 0.3 % of the constants lie
+beyond it.
 """
 UNIT_TIMES = 100.0
 """Smallest factor above or below the cited range that suggests a wrong unit.
@@ -35,7 +36,7 @@ UNITS = {"N_mm2": "N/mm²", "N_mm": "N/mm", "kPa": "kPa", "um": "µm", "s": "s"}
 
 
 def words_of(name: str) -> tuple[str, str]:
-    """Split the name of a constant into words without the unit, and the unit in its usual form."""
+    """Split a constant's name into words and its unit in the usual notation."""
     unit = next((each for each in UNITS if name.endswith(f"_{each}")), "")
     words = name.removesuffix(f"_{unit}").removeprefix("cutting.")
     return words.replace(".", " ").replace("_", " "), UNITS.get(unit, "")
@@ -48,21 +49,22 @@ class ConstantFit:
     Attributes
     ----------
     name
-        ``TABLE.MATERIAL.NAME``; or ``density.LAYER`` for the factor by which the density of a layer
-        is multiplied in this specimen.
+        ``TABLE.MATERIAL.NAME``, or ``density.LAYER`` for the specimen's factor on the density of a
+        layer.
     prior
         Cited median and range.
     low, value, high
-        Quantiles at 5, 50 and 95 % after the fit, in the unit of the name.
+        Posterior quantiles at 5, 50 and 95 %, in the unit that the name gives.
     z
-        The three quantiles `low`, `value` and `high`, and the two ends of the cited range, as
-        standard normal numbers of the prior, shape (5,).
+        `low`, `value`, `high` and the two ends of the cited range, transformed so that the prior is
+        standard normal, shape (5,).
     contraction
         Standard deviation of the constant after the fit, divided by the standard deviation before
         the fit.
     state
-        ``determined``, ``narrowed``, ``at its prior``, or ``doubtful``. A doubtful value lies far
-        outside its cited range, or was found with a clock offset that contradicts its prior.
+        ``determined``, ``narrowed``, ``at its prior``, or ``doubtful``. A value is doubtful if it
+        lies far outside its cited range, or if the fitted clock offset contradicts the prior of the
+        offset.
     """
 
     name: str
@@ -81,7 +83,7 @@ class ConstantFit:
             self.value > FAR_TIMES * self.prior.high > 0.0
             or self.value < self.prior.low / FAR_TIMES
         )
-        return abs(self.z[1]) > FAR or is_outside
+        return abs(self.z[1]) > FAR_SD or is_outside
 
     @property
     def doubt(self) -> str:
@@ -109,11 +111,11 @@ class Fitted(ABC):
     Attributes
     ----------
     source
-        Kind of the measurement in words.
+        Kind of the measurement in words, such as ``log``.
     meaning
-        Explanation of the numbers in the file of constants that the fit writes.
+        Explanation of the numbers in the constants file that the fit writes.
     findings
-        Values of `ConstantFit.state`. The report states the intervals of constants in these states.
+        States (`ConstantFit.state`) of the constants whose intervals the report gives.
     name
         Name of the scene.
     path
@@ -149,7 +151,7 @@ class Fitted(ABC):
 
     @property
     def scene_keys(self) -> dict[str, float]:
-        """Fitted values of scene keys, which are not constants of a material."""
+        """Fitted values that belong to keys of the scene file, not to a material."""
         return {each.name: each.value for each in self.constants if each.name.startswith(KEYS)}
 
     @property
@@ -181,7 +183,7 @@ class Fitted(ABC):
     @property
     @abstractmethod
     def size(self) -> dict[str, float]:
-        """Amount of data, as an entry of ``fit.json``."""
+        """Amount of data, to be written to ``fit.json``."""
 
     @property
     @abstractmethod
@@ -191,7 +193,7 @@ class Fitted(ABC):
     @property
     @abstractmethod
     def columns(self) -> dict[str, Array]:
-        """Measured and fitted loads, keyed by the name of their column in ``loads.csv``."""
+        """Measured and fitted loads, keyed by column name in ``loads.csv``."""
 
     @abstractmethod
     def draw(self, path: Path) -> None:

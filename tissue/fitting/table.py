@@ -59,7 +59,8 @@ class SteadyTable:
     loads
         Measured loads, shape (n, channels): thrust [N], torque [N m], or both.
     scatter
-        Standard deviation of each load, shape (n, channels). None if the table has no scatter.
+        Standard deviation of each load, shape (n, channels). None if the table gives no standard
+        deviations.
     channels
         Channels of the simulation that correspond to the loads.
     notes
@@ -75,10 +76,10 @@ class SteadyTable:
 
     @property
     def units(self) -> Array:
-        """Numbers by which a fit divides the loads, shape (n, channels).
+        """Divisors of the loads in a fit, shape (n, channels).
 
-        The divisor is the scatter of the load. Without a scatter, it is the mean of the load over
-        the rows.
+        The divisor is the scatter of the load. If the table gives no scatter, the divisor is the
+        mean load of the channel over the rows.
         """
         if self.scatter is not None:
             return self.scatter
@@ -86,7 +87,7 @@ class SteadyTable:
 
 
 def is_table(names: Sequence[str]) -> bool:
-    """Return True if columns contain a feed or a thrust but no times, as in a table of loads.
+    """Return True if columns are those of a table of loads: a feed or a load, but no times.
 
     A file with a column ``time_s`` is a log.
     """
@@ -100,19 +101,20 @@ def read_table(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> St
     Parameters
     ----------
     path
-        The file, for messages.
+        Path of the file, used in error messages.
     found
         Columns of the file. The feed is in the column ``feed_mm_per_turn``, or in ``feed_mm_min``
-        or ``feed_mm_s`` together with ``spin_rpm``. The columns of the loads are ``thrust_N``, and
-        ``torque_Nmm`` or ``torque_Nm``; at least one of them is needed. The standard deviation of a
-        load is in a column such as ``thrust_pm_N``.
+        or ``feed_mm_s`` together with ``spin_rpm``. The loads are in the columns ``thrust_N`` and
+        ``torque_Nmm`` or ``torque_Nm``; one load is enough. The standard deviation of a load is in
+        a column such as ``thrust_pm_N``.
     columns
-        ``NAME=COLUMN`` or ``NAME=COLUMN:UNIT`` for a column with another name or unit.
+        ``NAME=COLUMN`` or ``NAME=COLUMN:UNIT`` for a quantity whose column has another name or
+        unit.
 
     Raises
     ------
     InputError
-        If a column is missing or unknown, or a number is not above zero.
+        If a column is missing or unknown, or a value in a column is not above zero.
     """
     refuse = partial(refusal, path)
     notes = [*found.notes]
@@ -163,9 +165,10 @@ def read_table(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> St
 
 
 def table_forward(scene: Scene, table: SteadyTable, free: Sequence[str] = ()) -> CuttingForward:
-    """Return the forward model of the loads in a table's rows, divided by `SteadyTable.units`.
+    """Return the forward model of the loads in a table.
 
-    Each row is handled like a recorded tick.
+    The modelled loads are divided by `SteadyTable.units`. Each row is treated like one tick of a
+    recorded run.
 
     Parameters
     ----------
@@ -235,9 +238,10 @@ def table_forward(scene: Scene, table: SteadyTable, free: Sequence[str] = ()) ->
 class TableTarget(Target):
     """Log density of constants given a table whose rows have independent normal errors.
 
-    The standard deviation is the scatter. Without a scatter, the standard deviation of each load is
-    a free number. The clock offset, the biases, and the correlation and tails of the noise have no
-    effect, so they stay at the medians of their priors.
+    The standard deviation of an error is the scatter given in the table. If the table gives no
+    scatter, the standard deviation of each channel is a free parameter. The clock offset, the
+    biases, and the correlation and tails of the noise have no effect. They stay at the medians of
+    their priors.
     """
 
     def __init__(self, forward: CuttingForward, table: SteadyTable) -> None:

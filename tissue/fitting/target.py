@@ -80,19 +80,19 @@ damping after each further step that would lower the density.
 
 @dataclass(frozen=True)
 class Unpacked:
-    """Numbers of a fit, separated by their meaning.
+    """Parameters of a fit, split into constants, clock offset, biases and noise.
 
     Attributes
     ----------
     z
-        Standard normal numbers of the constants, see `Prior`, shape (p,).
+        Constants, transformed so that their priors are standard normal, see `Prior`, shape (p,).
     offset_s
         Offset of the force clock from the pose clock [s].
     bias
         Bias of each channel [N, N m], shape (channels,).
     scale
-        Scale of the innovations of each channel, shape (channels,). At four degrees of freedom, the
-        standard deviation is sqrt(2) times the scale.
+        Scale of the t-distributed innovations of each channel, shape (channels,). With four degrees
+        of freedom, the standard deviation is sqrt(2) times the scale.
     correlation
         Correlation of neighbouring residuals of each channel, in (-1, 1), shape (channels,).
     freedom
@@ -123,12 +123,12 @@ def innovations(residuals: Array, correlation: Array) -> Array:
 
 
 def likelihood(residuals: Array, noise: Unpacked) -> tuple[float, Array, Array]:
-    """Compute the log density of residuals for reweighted least squares.
+    """Compute the log density of residuals, and the weights for reweighted least squares.
 
     Parameters
     ----------
     residuals
-        Residuals at one rate, shape (m, channels), NaN where missing.
+        Residuals at a constant sampling rate, shape (m, channels), NaN where missing.
     noise
         Noise of each channel.
 
@@ -152,7 +152,7 @@ def likelihood(residuals: Array, noise: Unpacked) -> tuple[float, Array, Array]:
 
 
 def place_information(freedom: Array) -> Array:
-    """Return the Fisher information about the location of an innovation with scale 1.
+    """Return the Fisher information about the location of a t-distributed innovation with scale 1.
 
     The result has the shape of `freedom`. The formula is from Lange, Little and Taylor (1989).
     """
@@ -160,10 +160,11 @@ def place_information(freedom: Array) -> Array:
 
 
 class Target:
-    """Log density of the numbers `u` of a fit, all of which have standard normal priors.
+    """Log posterior density of the parameters `u` of a fit.
 
-    The first `places` numbers are the constants, the clock offset and the biases. The other numbers
-    are the noise: scale, correlation and degrees of freedom of each channel.
+    All entries of `u` have standard normal priors. The first `places` entries are the constants,
+    the clock offset and the biases. The other entries describe the noise: scale, correlation and
+    degrees of freedom of each channel.
 
     Parameters
     ----------
@@ -172,15 +173,16 @@ class Target:
     log
         Measured loads.
     sizes
-        Size of the loads of each channel, shape (channels,). Default: the size in the log.
+        Typical magnitude of each channel's loads, shape (channels,). Default: `MeasuredLoads.sizes`
+        of the log.
 
     Attributes
     ----------
     constants, places, size
-        Number of constants, number of entries of `u` that change the loads, and number of all
-        entries of `u`.
+        Number of constants, number of entries of `u` on which the loads depend, and size of `u`.
     sides
-        Side of each constant, shape (p,), see `tissue.fitting.problem.Parameter.side`.
+        Side of the cited value on which each constant may lie, shape (p,), see
+        `tissue.fitting.problem.Parameter.side`.
     """
 
     def __init__(self, forward: Forward, log: MeasuredLoads, *, sizes: Array | None = None) -> None:
@@ -215,7 +217,7 @@ class Target:
         return np.array([prior.x(each) for prior, each in zip(self._priors, z, strict=True)])
 
     def slopes(self, z: Array) -> Array:
-        """Return the derivative of each constant with respect to its standard normal number."""
+        """Return the derivative of each constant with respect to its transformed value in `z`."""
         return np.array([prior.slope(each) for prior, each in zip(self._priors, z, strict=True)])
 
     def loads(self, x: Array, offset_s: float) -> Array:
@@ -227,12 +229,16 @@ class Target:
         return values @ self.forward.loads(x)[:, self._channels]
 
     def simulated(self, u: Array) -> Array:
-        """Return loads with offset and bias, shape (m, channels), at the times of the log."""
+        """Return loads with clock offset and biases at the log's times, shape (m, channels)."""
         each = self.unpacked(u)
         return self.loads(self.x(each.z), each.offset_s) + each.bias
 
     def linearised(self, u: Array) -> tuple[Array, Array]:
-        """Return the loads `simulated(u)` and their derivatives, shape (m, channels, places)."""
+        """Return the loads `simulated(u)` and their derivatives.
+
+        The derivatives are with respect to the first `places` entries of `u`, shape (m, channels,
+        places).
+        """
         each = self.unpacked(u)
         place = u[: self.constants + 1]
         # the last place is kept, since a search for the noise needs the slopes of one place
@@ -277,18 +283,21 @@ class Target:
         return np.nan_to_num(innovations(np.where(known, moved, np.nan), correlation))
 
     def whitened(self, moved: Array, noise: Unpacked) -> Array:
-        """Return derivatives, shape (m, channels, k), as whitened rows, shape (m * channels, k).
+        """Return the derivatives `moved`, shape (m, channels, k), as whitened rows.
 
-        The transposed matrix of rows times the matrix of rows is the expected information.
+        The rows have shape (m * channels, k).
+
+        For the matrix W of rows, Wᵀ W is the expected information.
         """
         weights = np.sqrt(place_information(noise.freedom)) / noise.scale
         rows = weights[:, None] * self._innovations(moved, noise.correlation)
         return rows.reshape(-1, moved.shape[2])
 
     def information(self, u: Array) -> Array:
-        """Return the expected information of the log and the priors, shape (places, places).
+        """Return the expected information on the first `places` entries of `u`.
 
-        The cross terms with the noise are zero.
+        The information comes from the log and the priors, and has shape (places, places). Its cross
+        terms with the noise are zero.
         """
         columns = self.whitened(self.linearised(u)[1], self.unpacked(u))
         return columns.T @ columns + np.eye(self.places)
@@ -302,8 +311,8 @@ class Target:
         """Return the log density, its gradient, and the matrix of reweighted least squares.
 
         The gradient, shape (places,), and the matrix, shape (places, places), refer to the first
-        `places` entries of `u`. Fisher's scoring with expected weights would need hundreds of steps
-        if residuals lie far in the tails.
+        `places` entries of `u`. The weights follow from the residuals. With expected weights
+        (Fisher scoring), a search would need hundreds of steps if residuals lie far in the tails.
         """
         noise = self.unpacked(u)
         simulated, moved = self.linearised(u)
@@ -318,7 +327,8 @@ class Target:
     def climbed(self, u: Array, *, held: int | None = None) -> tuple[float, Array]:
         """Find the most probable constants, offset and biases near `u` for fixed noise.
 
-        Return the log density and the numbers. The number with the index `held` keeps its value.
+        Return the log density and the values found, shape (size,). The entry with the index `held`
+        keeps its value.
         """
         free = np.array([at for at in range(self.places) if at != held])
         damping = 0.0
@@ -342,11 +352,11 @@ class Target:
         return log_density, u
 
     def with_noise(self, u: Array) -> tuple[float, Array]:
-        """Find the noise that maximises the restricted likelihood; keep the other numbers of `u`.
+        """Find the noise parameters in `u` that maximise the restricted likelihood.
 
-        Return the logarithm of this likelihood times the priors, and all numbers. The restricted
-        likelihood is the density, integrated over the other numbers by Laplace's approximation
-        about `u`.
+        Keep the other entries of `u`. Return the logarithm of the product of this likelihood and
+        the priors, and all entries. The restricted likelihood is the density of the loads after the
+        other entries are integrated out by Laplace's approximation about `u`.
         """
         simulated, moved = self.linearised(u)
         residuals = self.log.values - simulated
@@ -372,10 +382,10 @@ class Target:
         return -float(found.fun), np.concatenate([u[: self.places], found.x])
 
     def start(self, offset_s: float) -> Array:
-        """Return the numbers at which a search starts, shape (size,), for a clock offset.
+        """Return the starting values of a search with the given clock offset, shape (size,).
 
-        The constants follow from two steps of reweighted least squares that begin at the medians of
-        their priors.
+        The constants are computed by two steps of reweighted least squares, starting at their prior
+        medians.
         """
         u = np.zeros(self.size)
         u[self.constants] = offset_s / OFFSET_S

@@ -110,11 +110,11 @@ class HandMotion(Motion):
     Each tick has these steps:
 
     1. Validate the device sample.
-    2. Move the tool towards the device. A tool that cuts moves to the pose where the forces of its
-       inertia, the coupling and the tissue balance. Any other tool moves to the balance computed
+    2. Move the tool towards the device. A tool that cuts moves to the pose at which inertial force,
+       coupling force and tissue force are in balance. Any other tool moves to the balance computed
        with the response of the last tick.
-    3. Compute the tissue response. If a free tool without inertia has entered the tissue, it is
-       moved again within the tick.
+    3. Compute the tissue response. If a tool without inertia has entered the tissue from free
+       space, it is moved again within the tick.
     4. Render the force from the positions of device and tool.
     5. Apply prediction, low-pass, delay and perceptual scaling, then limit the force and its slew
        rate.
@@ -125,8 +125,8 @@ class HandMotion(Motion):
     In these ticks, a predictor uses only the motion of the device.
 
     Tool and device start at the same position, unless the script gives a device origin. The tool
-    then moves ``motion_scale`` metres for each metre of the device. If the device can apply torque,
-    a rotational spring also couples the tool to the device, and the torque of the tissue turns the
+    moves ``motion_scale`` metres for each metre of the device. If the device can apply torque, a
+    rotational spring also couples the tool to the device, and the torque of the tissue turns the
     tool. For a tool that does not cut, this torque is from the last tick. The rendered torque also
     passes the low-pass and the delay.
 
@@ -265,11 +265,11 @@ class HandMotion(Motion):
         turns = self._scripted.rotations()
         return turns if self._stray == 0.0 else np.concatenate([turns] * 5)
 
-    def meet(self, tissue: TissueModel) -> None:
+    def set_tissue(self, tissue: TissueModel) -> None:
         """Set the tissue that a cutting tool cuts."""
         tissue = getattr(tissue, "milling", tissue)
         if isinstance(self.tool, CuttingTool) and isinstance(tissue, CutTissue):
-            self.tool.meet(tissue, self._start)
+            self.tool.set_tissue(tissue, self._start)
 
     def begin(self, motion: ToolMotion) -> None:
         """Place the tool at the start of the scripted motion."""
@@ -303,11 +303,11 @@ class HandMotion(Motion):
             self._follow(sample, response, motion)
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Move a free tool that has entered the tissue to its force balance.
+        """Move the tool to its force balance if it has entered the tissue from free space.
 
         The method returns True if it has moved the tool.
         """
-        if self._sample is None or not self.tool.lands(response):
+        if self._sample is None or not self.tool.has_entered(response):
             return False
         self._follow(self._sample, response, motion)
         return True

@@ -45,9 +45,9 @@ class PassivityObserver:
     -F . dx from the device. In every tick, the observer adds this energy for the force of the last
     tick and the displacement since that tick. The sum has no approximation error, and includes the
     energy that the zero-order hold creates. For example, a device enters a spring of stiffness K
-    and leaves it, both at speed v. For each tick T of the entry, the spring then returns K (v T)^2
-    more energy than it took. Half of this energy arises on entry, and half on exit. A delayed force
-    acts during a later displacement. If its delay is known, the sum is also correct.
+    and leaves it, both at speed v. For each tick of length T during entry, the spring then returns
+    K (v T)^2 more energy than it took. Half of this energy arises on entry, and half on exit. A
+    delayed force acts during a later displacement. If its delay is known, the sum is also correct.
 
     Parameters
     ----------
@@ -138,8 +138,8 @@ class PassivityControl:
     damping_N_s_m
         Force removed in the last step, divided by the predicted speed [N s/m].
     release_speeds
-        Outward speeds between which the removable share of the force rises from 0 to 1; see
-        `RELEASE_RAD_S`.
+        Two outward speeds. The share of the new force that may be removed rises from 0 at the first
+        speed to 1 at the second; see `RELEASE_RAD_S`.
     """
 
     def __init__(
@@ -191,8 +191,9 @@ class PassivityControl:
         """Reset after missing samples, because the motion up to the next sample is unknown.
 
         While samples are missing, the force fades, and afterwards it returns slowly. On entry into
-        a wall, the device therefore loses less energy than the observer adds. A positive observed
-        energy is set to zero, so that it cannot be released on exit from the wall.
+        a wall during this time, the device therefore loses less energy than the observer counts. A
+        positive observed energy is set to zero, so that it cannot be released on exit from the
+        wall.
         """
         self.observer.pause()
         self.observer.energy_J = min(self.observer.energy_J, 0.0)
@@ -312,8 +313,8 @@ class TurningRenderer:
     """Renderer that applies a force law to rotations and returns a torque.
 
     The distance in the law is the shortest rotation vector from the device to its proxy. The
-    position in the law is the sum of the device's rotation vectors over all ticks. With this sum, a
-    passivity observer can compute the work of the torque.
+    position in the law is the sum of the rotation vectors by which the device turned in each tick.
+    With this sum, a passivity observer can compute the work of the torque.
     """
 
     def __init__(self, inner: Renderer) -> None:

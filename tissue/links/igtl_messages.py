@@ -57,9 +57,10 @@ BITS: Words = np.arange(64, dtype=np.uint64)
 def crc64(body: bytes | bytearray | memoryview) -> int:
     """Return the checksum of a message body.
 
-    The checksum is a remainder, which is linear in the body. A long body is split into `LANES`
-    parts. The remainders of the parts are computed in parallel and then joined in pairs. Before two
-    remainders are joined, the first remainder is advanced by the length of the second part.
+    The checksum is a polynomial remainder, which is linear in the body. A long body is split into
+    `LANES` parts. The remainders of the parts are computed in parallel and then joined in pairs.
+    Before two remainders are joined, the first remainder is shifted by the length of the second
+    part.
     """
     if len(body) < LONG:
         value = 0
@@ -128,7 +129,7 @@ Only the voxels of an image are little-endian.
 class IgtlError(ValueError):
     """Error for bytes that are not an OpenIGTLink message.
 
-    The message of the error is a part of a sentence that the caller completes.
+    The message of the error is only part of a sentence; the caller completes the sentence.
     """
 
 
@@ -167,8 +168,7 @@ def packed(
 ) -> bytes:
     """Return a whole message.
 
-    If metadata is given, the header has version 2, and ``number`` is stored as the number of the
-    message.
+    If metadata is given, the header has version 2 and ``number`` is stored as the message ID.
     """
     version = 1
     if metadata is not None:
@@ -281,7 +281,7 @@ def string_body(text: str) -> bytes:
 
 
 def sensor_body(values: ArrayLike, unit: int) -> bytes:
-    """Return a SENSOR body of at most 255 values in one unit such as `NEWTON`."""
+    """Return a SENSOR body with at most 255 values in one common unit, such as `NEWTON`."""
     data = np.asarray(values, dtype=">f8").ravel()
     # one byte holds the number of values; the status byte is reserved and is 0
     return struct.pack(">BBQ", len(data), 0, unit) + data.tobytes()
@@ -309,7 +309,7 @@ def polydata_body(
     polygons
         Point indices of each polygon, shape (m, k).
     scalars
-        Dictionary from a name to the values at the points, shape (n,).
+        Values at the points, shape (n,), keyed by name.
     """
     points = np.asarray(points_mm, dtype=">f4").reshape(-1, 3)
     corners = np.asarray(polygons)
@@ -333,10 +333,10 @@ def image_body(voxels: NDArray[np.generic], ijk_to_ras_mm: ArrayLike) -> bytes:
     Parameters
     ----------
     voxels
-        Values of the voxels, shape (ni, nj, nk), with the indices i, j and k.
+        Values of the voxels, indexed by i, j and k; shape (ni, nj, nk).
     ijk_to_ras_mm
-        Homogeneous matrix from indices to positions [mm], shape (4, 4). In the message, the
-        position of the volume is given by its centre instead of its first voxel.
+        Homogeneous matrix from indices to positions [mm], shape (4, 4). The message gives the
+        position of the volume's centre, not of its first voxel.
     """
     matrix = np.asarray(ijk_to_ras_mm, dtype=float)
     shape = voxels.shape

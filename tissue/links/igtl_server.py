@@ -148,24 +148,24 @@ class Client:
 class IgtlServer:
     """Server that listens on a port of this machine, sends to all clients and receives messages.
 
-    No call blocks on a client. Data that a client does not accept at once waits in its send queue.
-    A client is disconnected if it sends data that is not OpenIGTLink, or accepts no data for
-    `STALLED_S`.
+    No call blocks on a client. Data that a client does not accept at once waits in the send queue
+    of this client. A client is disconnected if it sends data that is not OpenIGTLink, or accepts no
+    data for `STALLED_S`.
 
     Parameters
     ----------
     port
         Port to listen on; 0 for a free port.
     host
-        Address to listen on. Only programs of this machine can reach the default.
+        Address to listen on. By default, only programs on this machine can connect.
 
     Attributes
     ----------
     clients
         Connected clients.
     accepted, refused
-        Number of accepted clients, and number of clients that were refused or disconnected. A
-        client is disconnected if it sends invalid messages or accepts no data.
+        Number of clients that were accepted, and number of clients that were refused or
+        disconnected. A client is disconnected if it sends invalid messages or accepts no data.
 
     Raises
     ------

@@ -25,7 +25,7 @@ The server waits for a pose between two checks. A received pose ends this wait.
 
 
 class PosedLoop(Protocol):
-    """Loop to which the caller passes poses, such as `tissue.Loop` without a device."""
+    """Loop, such as `tissue.Loop` without a device, to which the caller passes poses."""
 
     def step(self, pose: ArrayLike, /) -> Array:
         """Move the tool to a pose [mm]; return force [N] and torque [N m], shape (6,)."""
@@ -45,7 +45,7 @@ def serve_network(
 
     After each accepted ``hello`` message, the tissue is restored to its uncut state, and the tool
     is put at the first pose of the client. For each later pose, the loop runs a step. A client that
-    sends an invalid pose is refused with an error message.
+    sends an invalid pose gets an error message, and its session ends.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def serve_network(
 def serve_ros2(
     loop: PosedLoop, *, opened: Callable[[str], object], ends: Callable[[], bool] = lambda: False
 ) -> int:
-    """Answer every message on ``servo_cp`` with ``measured_cp`` and ``measured_cf``.
+    """Answer each pose on ``servo_cp`` by ``measured_cp`` (pose) and ``measured_cf`` (wrench).
 
     At the first pose, the tissue is restored to its uncut state. Names and units follow CRTK: m, N
     and N m, in the frame of the scene. An invalid pose is logged as an error of the node and is not

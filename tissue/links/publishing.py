@@ -17,12 +17,12 @@ class RunPublisher(ABC):
     Parameters
     ----------
     folder
-        Folder in which the run has written shared arrays and the names of their columns.
+        Folder in which the run has written its shared arrays and their column names.
 
     Attributes
     ----------
     address
-        Address or topics at which the data is available. The run shows this text to the user.
+        Network address, or ROS topics, of the published data. The run shows this text to the user.
     """
 
     address = ""

@@ -68,11 +68,11 @@ STREAMS = ("SENSOR", "NDARRAY")
 
 
 def scene_to_ras(start: Start) -> Array:
-    """Return the homogeneous matrix from the scene [mm] to RAS [mm], shape (4, 4).
+    """Return the homogeneous matrix from scene to RAS coordinates [mm], shape (4, 4).
 
     If the anatomy of the scene comes from a file, the scene is aligned with that file. Any other
-    scene has no patient frame. Such a scene is aligned with the files of its run, such as
-    ``bone.nrrd``, which 3D Slicer interprets as LPS.
+    scene has no patient frame. Such a scene is aligned with files of its run, such as
+    ``bone.nrrd``; 3D Slicer reads these files as LPS.
     """
     placed = start.get("file_to_scene_mm")
     return LPS_TO_RAS if placed is None else np.asarray(LPS_TO_RAS @ np.linalg.inv(placed))

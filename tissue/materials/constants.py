@@ -64,9 +64,9 @@ class Entry(TypedDict):
 class CuttingCoefficients:
     """Cutting coefficients of a material: chip coefficients [Pa] and edge coefficients [N/m].
 
-    The chip coefficients are valid at the reference chip thickness. Their dependence on the chip
-    thickness, the size effect, is described in `effective_chip`. Without a minimum chip thickness
-    the law is linear in the chip thickness.
+    The chip coefficients are valid at the reference chip thickness. How they depend on the chip
+    thickness (size effect) is described in `effective_chip`. Without a minimum chip thickness the
+    law is linear in the chip thickness.
     """
 
     tangential_chip_Pa: float
@@ -97,10 +97,10 @@ class CuttingCoefficients:
 def effective_chip(
     thickness_m: Array, exponent: ArrayLike, minimum_m: ArrayLike, reference_m: ArrayLike
 ) -> tuple[Array, Array]:
-    """Return effective chip thickness [m] and share of the edge force, each of shape (n,).
+    """Return effective chip thickness [m] and active share of the edge force, shape (n,) each.
 
-    The force per length of edge is the chip coefficient times the effective thickness, plus the
-    edge coefficient times the share. See `kernels.cutting` for the law.
+    The force per edge length is the chip coefficient times the effective thickness, plus the edge
+    coefficient times this share. See `kernels.cutting` for the law.
 
     Parameters
     ----------
@@ -119,7 +119,9 @@ def effective_chip(
 
 @cache
 def constants(table: str, material: str) -> dict[str, Constant]:
-    """Return the constants of a material from the TOML file of a table, keyed by name with unit.
+    """Return the constants of a material in the TOML file of a table.
+
+    The keys are the names of the constants, including their units.
 
     Raises
     ------
@@ -149,7 +151,7 @@ def listed(table: str) -> tuple[str, ...]:
 
 
 def thermal_material(layer: str) -> str:
-    """Return the name of the material in ``tooth.toml`` that has the thermal constants of a layer.
+    """Return the material in ``tooth.toml`` whose thermal constants apply to a layer.
 
     Each layer of a tooth has its own thermal constants. All layers of bone use the same thermal
     constants.
@@ -181,7 +183,8 @@ def _table(table: str) -> dict[str, dict[str, Entry]]:
 def cutting_coefficients(material: str, **changes: float | None) -> CuttingCoefficients:
     """Return the cutting coefficients of a material in SI units.
 
-    ``changes`` replace single constants. The names in ``changes`` include the unit, as in the file.
+    ``changes`` replace some of the constants. As in the TOML file, the names in ``changes`` include
+    the unit.
 
     Raises
     ------
@@ -196,8 +199,8 @@ def changed_coefficients(
 ) -> CuttingCoefficients:
     """Convert cutting constants to cutting coefficients in SI units.
 
-    ``changes`` replace single constants. A minimum chip thickness of zero selects the linear law,
-    which has no size effect.
+    ``changes`` replace some of the constants. A minimum chip thickness of zero selects the linear
+    law, which has no size effect.
 
     Raises
     ------
@@ -255,11 +258,11 @@ see `Prior`.
 
 @dataclass(frozen=True)
 class Prior:
-    """Distribution of a constant with the median `value`, and 5 and 95 % quantiles `low`, `high`.
+    """Distribution of a constant, given by its median and its 5 and 95 % quantiles.
 
-    A number z ~ N(0, 1) is mapped to y = y_value + c (exp(g z) - 1), where c and g follow from the
-    three quantiles. Hence y has a shifted log-normal distribution, or a normal one for g = 0. The
-    constant x follows from y:
+    A number z ~ N(0, 1) is mapped to y = y_value + c (exp(g z) - 1). Here y_value is y at the
+    median, and c and g follow from the three quantiles. Hence y has a shifted log-normal
+    distribution, or a normal one for g = 0. The constant x follows from y:
 
     - With `bounds`: y = logit of x between the bounds.
     - With a positive range: y = ln x.
@@ -267,15 +270,15 @@ class Prior:
     - With a range that begins at zero: y = s ln(exp(x / s) - 1) with s = 0.05 `value`. Then y is
       close to x if x is well above s, and x is always positive. The 5 % quantile is 0.035 `value`.
 
-    If the value is one end of its range, the distribution is half-normal toward the other end, and
-    95 % of the distribution lies inside the range.
+    If `value` is an end of the range, the distribution is half-normal from there, and 95 % of it
+    lies inside the range.
 
     Attributes
     ----------
     value, low, high
         Median, 5 % quantile and 95 % quantile in the unit of the constant.
     bounds
-        Smallest and largest value of the distribution; None without bounds.
+        Smallest and largest possible value of the constant; None if there are no bounds.
 
     Raises
     ------
@@ -306,8 +309,8 @@ class Prior:
         constant
             Value and range.
         name
-            Name of the constant, such as ``soft.liver.poisson_ratio``. The last part selects the
-            bounds.
+            Name of the constant, such as ``soft.liver.poisson_ratio``. The last part of the name,
+            such as ``poisson_ratio``, selects the bounds.
         """
         bounds = BOUNDS.get(name.rpartition(".")[2])
         # The logit is infinite at a bound.
@@ -325,7 +328,7 @@ class Prior:
         return not self.fixed and self.value in (self.low, self.high)
 
     def mirrored(self) -> "Prior":
-        """Return the two-sided prior that joins this one-sided prior with its mirror image.
+        """Return the two-sided prior that consists of this one-sided prior and its mirror image.
 
         The prior is mirrored at `value`.
         """
@@ -335,7 +338,7 @@ class Prior:
         return Prior(self.value, min(ends[0], self.low), max(ends[1], self.high), self.bounds)
 
     def x(self, z: ArrayLike) -> Array:
-        """Return the values of the constant for standard normal numbers, of any shape."""
+        """Return the constant's values for standard normal numbers `z`, an array of any shape."""
         return self._from_y(self._y(np.asarray(z, float)))
 
     def slope(self, z: ArrayLike) -> Array:
@@ -353,9 +356,9 @@ class Prior:
         return slope_y
 
     def z(self, x: ArrayLike) -> Array:
-        """Return the standard normal numbers that belong to values x of the constant.
+        """Return the standard normal numbers z for which the constant has the values x.
 
-        The numbers are infinite outside the support of the distribution.
+        For values outside the support of the distribution, the result is infinite.
         """
         x = np.asarray(x, float)
         if self.fixed:

@@ -69,8 +69,8 @@ def orthotropic(*, young_Pa: ArrayLike, shear_Pa: ArrayLike, poisson_ratio: Arra
     shear_Pa
         G12, G13, G23 [Pa].
     poisson_ratio
-        nu12, nu13, nu23. The ratio nu12 is the contraction along 2 divided by the extension along 1
-        under tension along 1, and nu21 = nu12 E2 / E1.
+        nu12, nu13, nu23. The ratio nu12 is the contraction along axis 2 divided by the extension
+        along axis 1, for tension along axis 1. The reverse ratio is nu21 = nu12 E2 / E1.
 
     Raises
     ------
@@ -118,9 +118,9 @@ def transversely_isotropic(
     shear_fibre_Pa
         Shear modulus in planes that contain the fibre [Pa].
     poisson_fibre
-        Poisson's ratio across the fibre under tension along the fibre.
+        Contraction across the fibre divided by extension along it, under tension along the fibre.
     poisson_across
-        Poisson's ratio across the fibre under tension across the fibre, in (-1, 1).
+        Poisson's ratio in the plane normal to the fibre, in (-1, 1).
 
     Raises
     ------
@@ -141,9 +141,9 @@ def transversely_isotropic(
 
 
 def volume_preserving_ratio(*, poisson_ratio: float, modulus_ratio: float) -> float:
-    """Compute the transverse Poisson's ratio at which fibres do not change the bulk modulus.
+    """Compute the transverse Poisson's ratio for which fibres leave the bulk modulus unchanged.
 
-    A transversely isotropic material has the Young's moduli E across and r E along its fibres. Its
+    The Young's modulus of the material is E across the fibres and r E along the fibres. Its
     Poisson's ratio is nu under tension along the fibres, and nu_across under tension across the
     fibres. The bulk modulus K follows from the sum of the compliances of the normal components::
 
@@ -155,7 +155,8 @@ def volume_preserving_ratio(*, poisson_ratio: float, modulus_ratio: float) -> fl
     Parameters
     ----------
     poisson_ratio
-        Poisson's ratio without fibres, which is also the ratio under tension along the fibres.
+        Poisson's ratio nu of the material without fibres. It is also the ratio under tension along
+        the fibres.
     modulus_ratio
         Ratio of the Young's modulus along the fibres to the Young's modulus across the fibres.
     """
@@ -165,10 +166,10 @@ def volume_preserving_ratio(*, poisson_ratio: float, modulus_ratio: float) -> fl
 def fibre_ratio_range(poisson_ratio: float) -> tuple[float, float]:
     """Compute the open range of modulus ratios for which a fibre material is stable.
 
-    The material has the ratio nu_across of `volume_preserving_ratio`, Poisson's ratio nu and
-    modulus ratio r. Stability requires two conditions. The first, 1 - nu_across > 2 nu^2 / r, is
-    equivalent to r > (1 - 2 nu) / 3. The second, nu_across > -1, is a lower bound of r if nu > 1/4,
-    and an upper bound if nu < -1/6.
+    The material has the Poisson's ratio nu, the modulus ratio r, and nu_across from
+    `volume_preserving_ratio`. Stability requires two conditions. The first, 1 - nu_across > 2 nu^2
+    / r, is equivalent to r > (1 - 2 nu) / 3. The second, nu_across > -1, gives a lower bound of r
+    if nu > 1/4, and an upper bound if nu < -1/6.
     """
     low = (1.0 - 2.0 * poisson_ratio) / 3.0
     high = np.inf
@@ -216,7 +217,7 @@ def checked_stiffness(stiffness_Pa: ArrayLike) -> Array:
 
 
 def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
-    """Rotate stiffness matrices to given fibre directions or axes (Bond 1943).
+    """Rotate stiffness matrices from material axes to global axes (Bond 1943).
 
     The result has the unit Pa and the shape (m, 6, 6).
 
@@ -226,8 +227,8 @@ def rotated(stiffness_Pa: ArrayLike, axes: ArrayLike) -> Array:
         Stiffness in material axes [Pa], shape (6, 6) or (m, 6, 6).
     axes
         Fibre directions, shape (m, 3), for a material that is transversely isotropic about axis 3.
-        Otherwise the material axes 1, 2, 3 as columns, shape (m, 3, 3), orthonormal and
-        right-handed.
+        For other materials, matrices with the material axes 1, 2, 3 as columns, shape (m, 3, 3),
+        orthonormal and right-handed.
 
     Raises
     ------

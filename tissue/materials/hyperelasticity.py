@@ -36,7 +36,7 @@ class Hyperelastic:
     bulk_Pa
         Bulk modulus kappa at small strains [Pa].
     terms
-        Pairs (mu_p [Pa], alpha_p), one for each term with powers of stretches.
+        Pairs (mu_p [Pa], alpha_p), one for each Ogden term.
     powers_Pa
         Coefficients c_2, c_3, ... of the powers of I1 - 3 [Pa].
     exponentials
@@ -45,8 +45,8 @@ class Hyperelastic:
     Raises
     ------
     InputError
-        If a constant is not finite; an exponent is zero; or the rate b_e, the bulk modulus or the
-        shear modulus is not positive.
+        If a constant is not finite, an exponent is zero, or b_e, the bulk modulus or the shear
+        modulus is not positive.
     """
 
     bulk_Pa: float
@@ -118,9 +118,9 @@ class Hyperelastic:
     def derivatives(self, stretch: Array) -> tuple[Array, Array, Array]:
         """Compute the energy density [Pa], and its derivatives with respect to logarithmic strains.
 
-        The logarithmic strains are the logarithms of the stretches, which have shape (..., 3). The
-        energy has the shape (...), the first derivatives have the shape (..., 3), and the second
-        derivatives have the shape (..., 3, 3).
+        The logarithmic strains are the logarithms of the principal stretches `stretch`, shape (...,
+        3). The energy has the shape (...), the first derivatives have the shape (..., 3), and the
+        second derivatives have the shape (..., 3, 3).
         """
         volume = stretch.prod(axis=-1)
         isochoric = stretch / np.cbrt(volume)[..., None]

@@ -33,7 +33,7 @@ class Spectrum:
     Attributes
     ----------
     amplitude
-        Amplitude of each delayed term, shape (k,); negative if the response relaxes.
+        Amplitude of each delayed term, shape (k,); negative if the response decreases with time.
     time_s
         Time of each term [s], shape (k,).
     """
@@ -49,15 +49,16 @@ class Prony:
     Attributes
     ----------
     g
-        Share of each relaxing term. Each share is positive, and their sum is below 1.
+        Share of each relaxing term in the instantaneous modulus. Each share is positive, and their
+        sum is below 1.
     tau_s
         Relaxation time of each term [s].
 
     Raises
     ------
     InputError
-        If the lengths of `g` and `tau_s` differ; a share or a time is not positive and finite; or
-        the modulus relaxes to zero.
+        If the lengths of `g` and `tau_s` differ, a share or a time is not positive and finite, or
+        the shares sum to 1 or more.
     """
 
     g: tuple[float, ...]
@@ -96,11 +97,11 @@ class Prony:
 
 
 class HereditaryIntegral:
-    """Hereditary integral of a spectrum's step response; the input is linear within each step.
+    """Hereditary integral with a spectrum's step response, for inputs linear within each step.
 
-    With the input ``x``, the response at the end of a step is ``y = instant_factor x + history``.
-    The history is known before the step. A condition on y, such as a contact, therefore determines
-    x without iteration. No memory is allocated after construction.
+    If the input at the end of a step is ``x``, the response there is ``y = instant_factor x +
+    history``. The history is known before the step. A condition on y, such as a contact, therefore
+    determines x without iteration. No memory is allocated after construction.
 
     Parameters
     ----------
@@ -142,7 +143,7 @@ class HereditaryIntegral:
         """
 
     def advance(self, value: ArrayLike) -> None:
-        """Complete a step at whose end the input is `value`."""
+        """Complete a step with the input `value` at its end."""
         for term, keep, gain in zip(self._terms, self._keep, self._gain, strict=True):
             term *= keep
             np.multiply(value, gain, out=self._scaled)
@@ -150,7 +151,7 @@ class HereditaryIntegral:
         np.add.reduce(self._terms, axis=0, out=self.history)
 
     def become(self, other: "HereditaryIntegral", of: Callable[[Array], Array]) -> None:
-        """Copy the state of another integral, converted by a linear map of its inputs.
+        """Copy the state of another integral, and convert it by a linear map of the inputs.
 
         Parameters
         ----------

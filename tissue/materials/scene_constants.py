@@ -47,12 +47,11 @@ class Materials:
     ----------
     given
         Constants of a user's file, keyed by their names ``TABLE.MATERIAL.NAME``. In the table
-        ``cutting``, the name of a layer may replace the name of the material. Constants of the
-        layer take precedence over constants of the material.
+        ``cutting``, MATERIAL may also be the name of a layer. Constants of the layer take
+        precedence over constants of the material.
     names, matrix
         Names of the correlated constants in the file, and the correlation matrix of these
-        constants. The correlation applies to the standard normal numbers of
-        `tissue.materials.constants.Prior`.
+        constants. The correlation is that of the numbers z in `tissue.materials.constants.Prior`.
     file
         Path of the file; empty if all constants are cited.
     """
@@ -66,7 +65,7 @@ class Materials:
 
     @classmethod
     def read(cls, file: str | PathLike[str]) -> "Materials":
-        """Read the constants of a TOML file, which replace cited constants.
+        """Read constants from a TOML file, to replace cited constants.
 
         Raises
         ------
@@ -84,7 +83,7 @@ class Materials:
 
     @classmethod
     def of(cls, given: "str | PathLike[str] | Materials | None") -> "Materials":
-        """Return the constants of a file or of a `Materials` object; cited constants for None.
+        """Return the constants of a file or `Materials` object, or the cited constants for None.
 
         Raises
         ------
@@ -105,10 +104,11 @@ class Materials:
         return cls.read(given)
 
     def constants(self, table: str, material: str) -> dict[str, Constant]:
-        """Return the constants of a material, keyed by name; the file replaces cited constants.
+        """Return the constants of a material, keyed by name.
 
-        The result contains all names of the cited constants. A layer of the table ``cutting`` is
-        not a material, see `coefficients`. Raises the errors of
+        Constants in the user's file replace cited constants. The result contains all names of the
+        cited constants. For a layer in the table ``cutting``, use `coefficients`, because a layer
+        is not a material. This method raises the same errors as
         `tissue.materials.constants.constants`.
         """
         found = constants(table, material)
@@ -124,8 +124,8 @@ class Materials:
     def layer_constants(self, layer: str, *, bone: str = "bone") -> dict[str, Constant]:
         """Return the cutting constants of a layer.
 
-        Constants of the layer in the file replace the constants of the layer's material. The
-        material of a layer of bone is `bone`.
+        If the user's file has constants for the layer, they replace the constants of the layer's
+        material. A bone layer has the material `bone`.
         """
         found = self.constants("cutting", CUT_AS.get(layer, bone))
         return {name: self.given.get(f"cutting.{layer}.{name}", one) for name, one in found.items()}
@@ -141,7 +141,7 @@ class Materials:
             Names of the layers. Enamel, dentin, caries, pulp and ligament have their own materials.
             Any other layer has the material `bone`.
         changes
-            Single constants that replace the material constants in all layers.
+            Constants, keyed by name, that replace those of the materials in all layers.
         bone
             Material of bone.
 
@@ -156,9 +156,9 @@ class Materials:
     def numbers(
         self, table: str, numbers: Mapping[str, float], *materials: str
     ) -> dict[str, float]:
-        """Return the numbers of a device or a simulated hand, updated with numbers of the file.
+        """Return the parameters of a device or a simulated hand, updated with the user's file.
 
-        If the file has a number for several of the `materials`, the last of these materials is
+        If the file gives the same parameter for several of the `materials`, the last of these is
         used.
         """
         found = dict(numbers)
@@ -172,7 +172,7 @@ class Materials:
         return found
 
     def origin(self, table: str, material: str, name: str) -> str:
-        """Return the origin of a constant for a note of the run: name of the file, or "cited"."""
+        """Return the origin of a constant, as text for a note: "of FILE", or "cited"."""
         return (
             f"of {Path(self.file).name}" if f"{table}.{material}.{name}" in self.given else "cited"
         )
@@ -180,7 +180,7 @@ class Materials:
     def correlation(self, names: Sequence[str]) -> Array:
         """Return the correlation matrix, shape (n, n), of the constants with the given names.
 
-        The diagonal is one. Pairs that are not in the file have zero correlation.
+        The diagonal is one. Pairs of constants that the file does not list have zero correlation.
         """
         found = np.eye(len(names))
         place = {name: at for at, name in enumerate(self.names)}
@@ -192,7 +192,7 @@ class Materials:
 
     @property
     def key(self) -> str:
-        """Content of the constants as text, used as cache key.
+        """Text that identifies the constants, used as a cache key.
 
         The text is empty if all constants are cited, which means that no file replaces constants.
         """
@@ -359,10 +359,10 @@ def energy_note(
     bone: str = "bone",
     changes: Mapping[str, float | None],
 ) -> str:
-    """Describe the specific cutting energy of each layer, with range and origin.
+    """Describe the specific cutting energy of each layer, its range and its origin.
 
-    The specific cutting energy is the tangential chip coefficient. The energy holds at the density
-    and chip thickness that the text states.
+    The tangential chip coefficient is used as the specific cutting energy. The energy holds at the
+    density and chip thickness that the text states.
 
     Parameters
     ----------

@@ -28,9 +28,9 @@ Distance = Callable[[Array], Floats]
 DEVICE = "cpu"
 """Device of the distance search: one thread of the CPU, also if the tissue is on a GPU."""
 
-APART_M = float(TOLERANCE_M)
+DISTANCE_ERROR_M = float(TOLERANCE_M)
 """Largest error of the distance between a tool and triangles that do not overlap it [m]."""
-OVERLAP_M = 1e-5
+OVERLAP_ERROR_M = 1e-5
 """Largest error of the distance between a tool and triangles that overlap it [m].
 
 The tolerances of the kernel and of the tool's medial axis add up to less than this value.
@@ -42,18 +42,21 @@ MANY_TRIANGLES = 10000
 In a deep overlap with more triangles, a fine search would take tens of milliseconds per tick. The
 value was chosen by judgement.
 """
-DEEP_OVERLAP_M = 1e-4
+DEEP_OVERLAP_ERROR_M = 1e-4
 """Largest error of the distance between tool and triangles in a coarse search [m].
 
 The search is coarse if the structure has more than `MANY_TRIANGLES`, and a point of the structure's
 surface lies more than 1 mm (`DEEP_M`) inside the tool.
 """
 FINE_M = MEDIAL_TOLERANCE_M, 3e-6
-"""Errors of the tool's medial axis and of the search [m]; their sum is less than `OVERLAP_M`."""
+"""Errors of the tool's medial axis and of the search [m].
+
+Their sum is less than `OVERLAP_ERROR_M`.
+"""
 COARSE_M = 5e-5, 4.5e-5
 """Errors of the tool's medial axis and of the coarse search [m]; chosen.
 
-Their sum must be less than `DEEP_OVERLAP_M`.
+Their sum must be less than `DEEP_OVERLAP_ERROR_M`.
 """
 
 
@@ -131,8 +134,8 @@ class KeepClear:
         Distances in the last tick [mm], shape (structures,), negative in an overlap. A value is
         never larger than the true distance. The error is at most the slack of the structure plus
         0.001 mm if tool and structure are apart, and at most the slack plus 0.01 mm if they
-        overlap (0.1 mm in a coarse search, see `DEEP_OVERLAP_M`). The error is larger if tens of
-        thousands of triangles have the same distance.
+        overlap (0.1 mm in a coarse search, see `DEEP_OVERLAP_ERROR_M`). The error is larger if tens
+        of thousands of triangles have the same distance.
     notices
         Events, one sentence each. The simulation loop logs an event and then removes it.
     """

@@ -43,18 +43,20 @@ class DrillingRecording:
     Attributes
     ----------
     times_s
-        Increasing times of the poses [s] from 0, shape (n,).
+        Increasing times of the poses [s], shape (n,). The first time is 0.
     tips_m
         Positions of the tip in the world frame of the recording [m], shape (n, 3).
     quaternions
         Orientations (x, y, z, w), shape (n, 4). The tool's z axis runs from tip to shank.
     load_times_s
-        Times of the loads [s], shape (m,), relative to the first pose; None without recorded loads.
+        Times of the loads relative to the first pose [s], shape (m,). None if no loads were
+        recorded.
     loads
-        Forces on the tool in the world frame [N], shape (m, 3), or forces and torques [N m], shape
-        (m, 6). Recorded torques are omitted if they are a copy of the forces.
+        Forces on the tool in the world frame [N], shape (m, 3). If torques [N m] are known, they
+        follow the forces, and the shape is (m, 6). Recorded torques are omitted if they are a copy
+        of the forces.
     notes
-        Findings about the file and assumptions, one sentence each.
+        Findings about the file, and assumptions made; one sentence each.
     """
 
     times_s: Array
@@ -73,19 +75,19 @@ class PoseFile:
     ----------
     path
         Path of the file.
-    what
+    argument
         Name of the file in error messages, such as ``motion.file``.
     """
 
     path: Path
-    what: str
+    argument: str
 
     def error(self, requirement: str, got: object, remedy: str) -> InputError:
         """Return the error for a value in the file."""
-        return InputError(self.what, requirement, f"{got} in {self.path}", remedy)
+        return InputError(self.argument, requirement, f"{got} in {self.path}", remedy)
 
     def require_unit(self, quaternions: Array) -> None:
-        """Check the length of quaternions (x, y, z, w), shape (n, 4)."""
+        """Check that quaternions (x, y, z, w), shape (n, 4), have unit length."""
         if (wrong := first_off_unit(quaternions)) is not None:
             length = float(np.linalg.norm(quaternions[wrong]))
             raise self.error(
@@ -95,21 +97,21 @@ class PoseFile:
             )
 
 
-def read_drilling(path: Path, *, what: str) -> DrillingRecording:
+def read_drilling(path: Path, *, argument: str) -> DrillingRecording:
     """Read a recording of volumetric_drilling in the present or the older layout.
 
     The recorded pose is at the centre of the burr, with x towards the shank. If the file contains
-    the burr size, the recorded position is moved by half of this size, to the tip. Otherwise the
+    the burr's diameter, the recorded position is moved by half of it, to the tip. Otherwise the
     recorded position is used as the tip. The recorder sometimes stores a pose twice or out of
-    order. Samples are therefore sorted by time, and the first sample of each time is used. If the
-    file contains exactly one camera, forces are rotated from the axes of the camera to the world
-    frame.
+    order. Samples are therefore sorted by time. Of several samples with the same time, only the
+    first is used. If the file contains exactly one camera, forces are rotated from the axes of the
+    camera to the world frame.
 
     Parameters
     ----------
     path
         HDF5 file.
-    what
+    argument
         Name of the file in error messages, such as ``motion.file``.
 
     Raises
@@ -121,7 +123,7 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
         import h5py
     except ImportError:
         raise InputError(
-            what,
+            argument,
             "be readable with the installed packages",
             "a file that needs h5py",
             f"run {install_command('h5')}",
@@ -129,12 +131,12 @@ def read_drilling(path: Path, *, what: str) -> DrillingRecording:
     require_regular(path)
     try:
         with h5py.File(path, "r") as file:
-            return _drilling(file, PoseFile(path, what))
+            return _drilling(file, PoseFile(path, argument))
     except (InputError, MemoryError):
         raise
     except Exception as problem:  # h5py raises many kinds of errors for a damaged file
         raise InputError(
-            what,
+            argument,
             "be a whole HDF5 file",
             f"{path} ({' '.join(str(problem).split())})",
             "export it again",

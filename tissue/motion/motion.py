@@ -28,8 +28,8 @@ Events = list[tuple[float, str]]
 class Motion(Protocol):
     """Interface of tool motions.
 
-    `begin` writes the first pose. In every tick, `advance` writes the pose, and `play` receives the
-    response of the tissue.
+    `begin` writes the first pose. In every tick, `advance` first writes the pose, and `play` then
+    receives the tissue's response to it.
     """
 
     duration_s: float
@@ -52,29 +52,29 @@ class Motion(Protocol):
 
     @property
     def feed_limit(self) -> dict[str, float | None]:
-        """Record of the time in contact during which the feed limit determines the speed.
+        """Record of how long the feed limit determined the speed in contact.
 
-        The record contains the feed limit ``max_feed_mm_s`` and the total time ``active_s`` of an
-        active limit in contact [s]. The time ``first_s`` is the time at which the limit first
-        became active [s], or None. While the limit is active, the resistance of the tissue is
-        smaller than the thrust. A motion that is not driven by a thrust has an empty record.
+        The record contains the feed limit ``max_feed_mm_s``, and the total time ``active_s`` for
+        which it was active in contact [s]. ``first_s`` is the time at which the limit first became
+        active [s], or None if it never did. The limit is active if the thrust exceeds the
+        resistance of the tissue. A motion that is not driven by a thrust has an empty record.
         """
         return {}
 
     def sweep_m(self) -> Array:
-        """Return tip positions [m], shape (n, 3), that span the region of the motion."""
+        """Return tip positions [m], shape (n, 3), whose bounding box contains all tip positions."""
         ...
 
     def rotations(self) -> Array:
         """Return the rotations from tool to world at the points of `sweep_m`, shape (n, 3, 3)."""
         ...
 
-    def meet(self, tissue: TissueModel) -> None:
+    def set_tissue(self, tissue: TissueModel) -> None:
         """Receive the tissue model before the start of the motion."""
         return
 
     def begin(self, motion: ToolMotion) -> None:
-        """Write the start pose and the direction of motion into ``motion``; the speed is zero."""
+        """Write the start pose and the direction of motion into ``motion``, with zero speed."""
         motion.tip_m[:] = self.sweep_m()[0]
         motion.rotation[:] = self.rotations()[0]
 
@@ -88,8 +88,8 @@ class Motion(Protocol):
     def correct(self, response: Response, motion: ToolMotion) -> bool:
         """Correct the pose within the tick if the tissue response at the new pose requires it.
 
-        Return True if the tool moved. For a motion with `balances`, the method is called until it
-        returns False.
+        Return True if the tool moved. If the attribute `balances` of the motion is True, the method
+        is called until it returns False.
         """
         return False
 
@@ -108,7 +108,7 @@ def first_off_unit(quaternions: Array) -> int | None:
     Parameters
     ----------
     quaternions
-        Quaternions, shape (n, 4), finite.
+        Finite quaternions, shape (n, 4).
     """
     off: Array = np.abs(np.einsum("ij,ij->i", quaternions, quaternions) - 1.0)
     wrong = np.flatnonzero(off > OFF_UNIT)
@@ -116,7 +116,7 @@ def first_off_unit(quaternions: Array) -> int | None:
 
 
 def frame_along(axis: ArrayLike) -> Array:
-    """Return a rotation matrix with the third column along ``axis`` and the first column near x.
+    """Return a rotation matrix whose third column is along ``axis`` and whose first is near x.
 
     If the angle between ``axis`` and x is below about 26°, the first column is near y instead.
     """
@@ -145,7 +145,9 @@ def quaternion_of(rotation: Array) -> Array:
 
 
 class FollowPath(Motion):
-    """Motion along straight lines with a given feed; at the end of the path the tool rests.
+    """Motion along straight lines with a given feed.
+
+    The tool rests at the end of the path.
 
     Parameters
     ----------

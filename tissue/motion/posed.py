@@ -42,16 +42,17 @@ def poses_in(name: str, poses: ArrayLike, rotation: Array) -> tuple[Array, Array
     name
         Name of the argument in error messages.
     poses
-        Tips [mm], shape (n, 3); tips and unit quaternions (x, y, z, w), shape (n, 7); or matrices
-        from the tool frame to the tissue frame [mm], shape (n, 4, 4). A quaternion whose length is
-        within 1 % of 1 is normalised.
+        Tip positions [mm], shape (n, 3); tip positions and unit quaternions (x, y, z, w), shape (n,
+        7); or matrices from the tool frame to the tissue frame with translations in mm, shape (n,
+        4, 4). A quaternion whose length is within 1 % of 1 is normalised.
     rotation
         Rotation that is used if the poses are positions only, shape (3, 3).
 
     Raises
     ------
     InputError
-        If the poses have a wrong shape, are not finite, or have an invalid rotation.
+        If the poses have a wrong shape, are not finite, or contain a matrix or quaternion that is
+        not a rotation.
     """
     try:
         values = np.asarray(poses, dtype=np.float64)
@@ -104,7 +105,7 @@ def poses_in(name: str, poses: ArrayLike, rotation: Array) -> tuple[Array, Array
 
 
 class PosedTool(StaysAt):
-    """Motion of a tool through poses that are set step by step.
+    """Motion of a tool through poses that are set one after another during the run.
 
     The motion from one pose to the next pose is divided equally among the ticks between them.
 
@@ -149,8 +150,9 @@ class PosedTool(StaysAt):
         tip_m, rotation
             Pose after the given number of ticks.
         velocity
-            Velocity of the tip [m/s] and angular velocity [rad/s] during the ticks, shape (2, 3).
-            If None, the change of the pose is divided by the duration of the ticks.
+            Velocity of the tip [m/s] and angular velocity [rad/s], shape (2, 3), until the pose is
+            reached. If None, they are computed from the change of the pose and the duration of the
+            ticks.
         ticks
             Number of ticks.
 
@@ -188,7 +190,7 @@ class PosedTool(StaysAt):
         self._velocity = velocity
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Move the tool for one tick; the tool rests after it has reached the pose of `aim`."""
+        """Move the tool for one tick, or let it rest after it has reached the pose set by `aim`."""
         if self._left == 0:
             motion.speed_m_s = 0.0
             return

@@ -17,7 +17,7 @@ Rounding of all four components to two decimals changes the squared length by up
 
 
 def product(left: Quaternion, right: Quaternion) -> Quaternion:
-    """Return the product ``left right``: the rotation ``right``, followed by ``left``."""
+    """Return the product ``left right``, which rotates first by ``right`` and then by ``left``."""
     a, b, c, d = left
     e, f, g, h = right
     return (
@@ -76,14 +76,14 @@ def logarithm(rotation: Quaternion) -> Triple:
 def turn_between(start: Quaternion, goal: Quaternion) -> Triple:
     """Return the rotation vector [rad] of the shortest rotation from ``start`` to ``goal``.
 
-    The vector is the logarithm of ``goal start^-1``, in the world's axes. For half a turn there are
-    two shortest rotations; one of them is returned.
+    The vector is the logarithm of ``goal start^-1``, with components along the world's axes. For
+    half a turn there are two shortest rotations; one of them is returned.
     """
     return logarithm(product(goal, conjugate(start)))
 
 
 def of_matrix(rows: Sequence[Sequence[float]]) -> Quaternion:
-    """Return the unit quaternion with w >= 0 of a rotation matrix, given by its rows.
+    """Return the unit quaternion with w >= 0 of the rotation matrix with the given rows.
 
     The largest of the four components is computed first, which avoids division by a small number
     (Shepperd 1978, J. Guid. Control 1:223).

@@ -37,7 +37,7 @@ class GivenPoses(Motion):
         Increasing times of the poses [s], shape (n,).
     tips_m
         Tip positions [m], shape (n, 3).
-    turns
+    rotations
         Orientations of the tool, one for each pose.
 
     Raises
@@ -46,7 +46,7 @@ class GivenPoses(Motion):
         If the extent of the positions along a coordinate axis is larger than `FARTHEST_M`.
     """
 
-    def __init__(self, times_s: Array, tips_m: Array, turns: Rotation) -> None:
+    def __init__(self, times_s: Array, tips_m: Array, rotations: Rotation) -> None:
         extent_m = float(np.ptp(tips_m, axis=0).max())
         if extent_m > FARTHEST_M:
             # Carving visits the whole swept region, so one damaged number would take endless
@@ -59,11 +59,13 @@ class GivenPoses(Motion):
             )
         self.duration_s = float(times_s[-1] - times_s[0])
         self._tips = tips_m
-        self._rotations = turns.as_matrix()
+        self._rotations = rotations.as_matrix()
         steps = np.diff(times_s)[:, None]
         moved = np.diff(tips_m, axis=0) / steps
         turned = (
-            (turns[1:] * turns[:-1].inv()).as_rotvec() / steps if len(steps) else np.zeros((0, 3))
+            (rotations[1:] * rotations[:-1].inv()).as_rotvec() / steps
+            if len(steps)
+            else np.zeros((0, 3))
         )
         velocity, turning = (np.vstack([np.zeros((1, 3)), each]) for each in (moved, turned))
         speed = np.linalg.norm(velocity, axis=1)
@@ -102,9 +104,10 @@ class GivenPoses(Motion):
 
 
 class ReplayPoses(GivenPoses):
-    """Recorded motion through poses at given times, resampled to ticks before the run.
+    """Recorded motion through poses at given times.
 
-    Positions are interpolated linearly, and orientations along the shortest rotation.
+    The poses are resampled to ticks before the run. Positions are interpolated linearly, and
+    orientations are interpolated along the shortest rotation.
 
     Parameters
     ----------
@@ -143,19 +146,19 @@ def read_replay(path: Path) -> ReplayPoses:
     Raises
     ------
     InputError
-        If the file is missing, has too few columns, or holds values that are not finite, or if its
-        times do not increase.
+        If the file is missing, has too few columns or values that are not finite, or has times that
+        do not increase.
     """
     where = PoseFile(path, "motion.file")
     if not is_file(path):
         raise InputError(
-            where.what,
+            where.argument,
             "be an existing file of poses",
             path,
             "give a CSV such as a run's trace.csv",
         )
     if path.suffix.lower() in RECORDINGS:
-        held = read_drilling(path, what=where.what)
+        held = read_drilling(path, argument=where.argument)
         poses = np.column_stack([held.times_s, held.tips_m, held.quaternions])
         notes = held.notes
     else:
@@ -163,7 +166,7 @@ def read_replay(path: Path) -> ReplayPoses:
     lasts_s = float(poses[-1, 0] - poses[0, 0])
     if lasts_s > LONGEST_S:
         raise where.error(f"last at most {LONGEST_S:g} s", f"{lasts_s:g}", "cut it")
-    with names_of_caller({"poses": where.what}):
+    with names_of_caller({"poses": where.argument}):
         return ReplayPoses(poses[:, 0], poses[:, 1:4], poses[:, 4:], notes=notes)
 
 
@@ -178,8 +181,8 @@ def _table(where: PoseFile) -> tuple[Array, tuple[str, ...]]:
     -------
     Array of times [s], tips [m] and quaternions, shape (n, 8), and notes.
     """
-    table = read_table(where.path, where.what)
-    require_distinct_columns(table.names, where.what, where.path)
+    table = read_table(where.path, where.argument)
+    require_distinct_columns(table.names, where.argument, where.path)
     measures = dict(zip(("time_s", *POSE_COLUMNS), MEASURES, strict=True))
     headers: dict[str, str] = {}
     for name, measure in measures.items():
@@ -217,7 +220,10 @@ FORMAT = 2
 
 
 def write_poses(path: Path, poses: Array, volume: VoxelVolume) -> None:
-    """Write the poses of a tool, and origin and spacing of the cut voxels, to a .npz file."""
+    """Write a tool's poses, and the grid of the voxels that it cuts, to a .npz file.
+
+    The grid is given by its origin and its spacing.
+    """
     with whole_file(path) as temporary, temporary.open("wb") as file:
         arrays = {
             "poses": poses,
@@ -228,7 +234,7 @@ def write_poses(path: Path, poses: Array, volume: VoxelVolume) -> None:
 
 
 def read_poses(path: Path) -> tuple[Array, Array, float]:
-    """Read poses, the origin of the voxels [m], shape (3,), and their spacing [m].
+    """Read the poses, and the origin [m], shape (3,), and spacing [m] of the voxels.
 
     The file was written by `write_poses`.
 
@@ -265,10 +271,10 @@ def read_poses(path: Path) -> tuple[Array, Array, float]:
 
 
 def poses_of_trace(tips_m: Array, axes: Array) -> Array:
-    """Build the poses of a run from its trace, if the pose file is missing.
+    """Build the poses of a run from its trace, as a substitute for a missing pose file.
 
-    A bone shape that is computed from these poses has an error of about the distance that the tool
-    moves between two cuts.
+    If the shape of the cut bone is computed from these poses, its error is about the distance that
+    the tool moves between two cuts.
 
     Parameters
     ----------

@@ -33,39 +33,40 @@ def implicit_speed(
 ) -> float:
     """Return the speed [m/s] of a mass after one implicit Euler step.
 
-    The forces on the mass are ``thrust`` [N] and a viscous ``drag`` [N s/m].
+    The forces on the mass are ``thrust`` [N] and a viscous drag with the coefficient ``drag`` [N
+    s/m].
     """
     return (mass * speed / step_s + thrust) / (mass / step_s + drag)
 
 
 class SpeedSearch:
-    """Search for the speed in a tick that balances the forces at the resulting pose.
+    """Search for the speed in a tick at which the forces balance at the resulting pose.
 
-    A tried speed v leads to a pose. Let S(v) be the speed that balances the forces at this pose.
-    S(v) is limited to the allowed speeds. S(v) - v therefore changes its sign between the lowest
-    and the highest allowed speed. After a try with v, the speed S(v) is tried next. If S(v) and v
-    are not close after two tries, the interval in which the sign changes is halved. If the force
-    jumps, for example at the first contact of a flat reamer, the search ends on the side of the
-    larger force.
+    Each speed v that is tried gives a pose. Let S(v) be the speed that balances the forces at this
+    pose. S(v) is limited to the allowed speeds. S(v) - v therefore changes its sign between the
+    lowest and the highest allowed speed. After a try with v, the speed S(v) is tried next. If S(v)
+    and v still differ after two tries, the search continues by bisection of the interval in which
+    S(v) - v changes its sign. If the force jumps at a speed, for example at the first contact of a
+    flat reamer, the search ends just behind the jump, where the force is larger.
 
     At each pose, the force law is replaced by its tangent as a function of the speed. The tangent
-    is computed at the tried speed. S(v) - v therefore has the same sign as with the force law
-    itself. If the search ends with a balanced speed that is not close to the tried speed, new
-    tangents are computed at the last pose until the two speeds are close.
+    is computed at the tried speed. The sign of S(v) - v is therefore the same as for the exact
+    force law. If the balanced speed at the end is not close to the tried speed, new tangents are
+    computed at the last pose until their speed and the balanced speed agree.
 
     Attributes
     ----------
     tried
         Speed of the next pose to evaluate [m/s].
     tangent
-        Speed at which the tangent of the force at the pose of `tried` is computed [m/s].
+        Speed at which the tangent of the force is computed, for the pose of `tried` [m/s].
     """
 
     def __init__(self) -> None:
         self.begin(0.0, highest=0.0)
 
     def begin(self, speed: float, *, highest: float) -> None:
-        """Start a tick with a first guess of the speed, limited to 0 to ``highest`` [m/s]."""
+        """Start a tick with a first guess of the speed in the range from 0 to ``highest`` [m/s]."""
         self.tried = self.tangent = speed
         self._low = 0.0
         self._high = highest
@@ -74,9 +75,9 @@ class SpeedSearch:
         self._is_last_pose = False
 
     def accepts(self, balanced: float) -> bool:
-        """Return True if `tried` and `tangent` balance the forces; else update the two speeds.
+        """Return True if `tried` and `tangent` balance the forces, and update them otherwise.
 
-        ``balanced`` is the balanced speed at the pose of `tried`.
+        ``balanced`` is the speed at which the forces at the pose of `tried` balance.
         """
         if not self._is_last_pose:
             if _are_close(balanced, self.tried):
@@ -122,16 +123,16 @@ class PushAlongAxis(Motion):
     """Force-driven motion: a thrust force pushes the tool along its axis.
 
     The feed is computed from the balance of thrust and cutting force. The cutting force increases
-    steeply with the feed: the drag c is up to 1e5 N s/m. With the mass m, an explicit step longer
-    than 2 m / c is unstable. The balance is therefore solved for the new speed v', with the drag
-    and the edge force at the new pose::
+    steeply with the feed: the drag c is up to 1e5 N s/m. For a mass m, explicit integration is
+    unstable with steps longer than 2 m / c. The balance is therefore solved for the new speed v',
+    where drag and edge force are taken at the new pose::
 
         m (v' - v) / dt = thrust - c(x + v' dt) v' - edge(x + v' dt),    v' in [0, largest feed]
 
-    Drag and edge force are computed from the tangent of the force law. The cutting force therefore
-    never exceeds thrust + m v / dt. `advance` starts with the drag of the previous tick, and
-    `correct` tries poses until speed and forces agree. For a law that is linear in the speed, the
-    tool stays at rest if the thrust is below the edge force; the bone then balances the thrust.
+    Drag and edge force are computed from the tangent of the force law. As a result, the cutting
+    force never exceeds thrust + m v / dt. `advance` starts with the drag of the previous tick, and
+    `correct` tries poses until speed and forces agree. If the force law is linear in the speed and
+    the thrust is below the edge force, the tool rests and the bone carries the thrust.
 
     Parameters
     ----------
@@ -142,8 +143,8 @@ class PushAlongAxis(Motion):
     thrust_N, mass_kg, max_feed_m_s
         Thrust [N], moving mass [kg] and largest feed [m/s].
     depth_m
-        Depth along ``-axis`` at which the feed stops [m], measured from the origin of the frame of
-        `start_m`.
+        Depth at which the feed stops [m]. It is measured along ``-axis`` from the origin of the
+        frame in which `start_m` is given.
     """
 
     balances = True
@@ -200,7 +201,7 @@ class PushAlongAxis(Motion):
         motion.heading[0] = self._heading
 
     def advance(self, time_s: float, step_s: float, response: Response, motion: ToolMotion) -> None:
-        """Move with the speed that balances the forces with the drag of the previous tick."""
+        """Move at the speed that balances the forces if the drag is that of the previous tick."""
         drag, edge = self._resisting(response)
         was_touching = self._touching
         self._touching = drag > 0.0 or edge > 0.0
@@ -222,7 +223,7 @@ class PushAlongAxis(Motion):
         self._set_speed(motion, edge)
 
     def correct(self, response: Response, motion: ToolMotion) -> bool:
-        """Try another pose until the forces balance; then set the exactly balanced speed."""
+        """Try another pose, or set the balanced speed if the forces balance at the present pose."""
         if self._settled:
             return False
         drag, edge = self._resisting(response)
@@ -237,7 +238,8 @@ class PushAlongAxis(Motion):
     def happened(self) -> Events:
         """Return an event if the feed limit was active in contact.
 
-        The event reports the first time and the total duration of the active limit.
+        The event reports when the limit first became active, and for how long it was active in
+        total.
         """
         if self._limited_s == 0.0:
             return []
@@ -250,7 +252,7 @@ class PushAlongAxis(Motion):
 
     @property
     def feed_limit(self) -> dict[str, float | None]:
-        """Time in which the feed limit was active in contact, up to the previous tick."""
+        """Record of the time in contact with an active feed limit, up to the previous tick."""
         first_s = self._first_limited_s if self._limited_s > 0.0 else None
         return {
             "max_feed_mm_s": 1e3 * self._max_feed,

@@ -25,7 +25,7 @@ class Assessment(engine.Assessment):
         Raises
         ------
         InputError
-            If the folder is a file, or holds another assessment and `overwrite` is not given.
+            If the folder is a file, or if it holds another assessment and `overwrite` is False.
         """
         return write_assessment(self, Path(folder), overwrite=overwrite)
 
@@ -39,10 +39,11 @@ def assess(
     deviation_limit_mm: float = 1.0,
     overshoot_limit_mm: float = 0.5,
 ) -> Assessment:
-    """Compare a trainee's run with a reference run of the same scene.
+    """Compare a trainee's run with a reference run of the same task.
 
     Dynamic time warping aligns the two paths of the tool by position, not by time. A pause of the
-    trainee therefore does not count as an error.
+    trainee therefore does not count as an error. If the scene of the reference run has
+    ``keep_clear.margin_mm``, this margin is the smallest allowed distance to each structure.
 
     Parameters
     ----------
@@ -51,8 +52,8 @@ def assess(
     force_limit_N
         Limit of the force on the tool [N]; default 1.25 times the peak force of the reference run.
     deviation_limit_mm
-        Limit of the distance from the path of the reference run [mm]. The limit applies where the
-        trainee's run or the reference run touches the tissue.
+        Limit of the distance from the path of the reference run [mm]. The limit applies at
+        positions where the tool touches the tissue in either run.
     overshoot_limit_mm
         Largest allowed distance of the tip below the deepest point of the reference run [mm].
         Depths are measured from the first contact of the reference run.
@@ -61,8 +62,8 @@ def assess(
     ------
     InputError
         If the runs belong to different tasks (their anatomy, tool or material differs), or a run
-        has no trace of at least ten ticks. It is also raised if the reference run has no contact,
-        or the trainee's run has no contact where the reference run has contact.
+        has no trace of at least ten ticks. It is also raised if the reference run or the trainee's
+        run has no contact, or if both runs touch the tissue at no common place.
     """
     found = engine.assess(
         assessed_run(trainee),
@@ -87,7 +88,7 @@ class Ranking(ranking.Ranking):
         Raises
         ------
         InputError
-            If the folder is a file, or holds another ranking and `overwrite` is not given.
+            If the folder is a file, or if it holds another ranking and `overwrite` is False.
         """
         return ranking.write_ranking(self, Path(folder), overwrite=overwrite)
 
@@ -103,21 +104,21 @@ def rank(
 ) -> Ranking:
     """Order trainees by the safety and the mean score of their runs of one scene.
 
-    In a breach, the tool enters a structure that the scene's table ``[keep_clear]`` names. Trainees
-    are ordered by the share of their runs with a breach, the smallest share first. Trainees with
-    equal shares are ordered by their mean score. The score measures how steady a hand is; see
-    `Assessment.steadiness`. A trainee with three or more attempts also has a learning curve. Three
-    kinds of runs are left out: runs of another task than the reference run, runs without a score,
-    and runs without contact where the reference run has contact. `Ranking.left_out` lists them. The
-    table also has rows for the runs without a score. `Ranking.notes` lists differences between the
-    scenes of the runs, including the coupling to the device.
+    A breach is an entry of the tool into a structure named in the scene's table ``[keep_clear]``.
+    Trainees are ordered by the share of their runs with a breach, the smallest share first.
+    Trainees with equal shares are ordered by their mean score. The score measures how steady a hand
+    is; see `Assessment.steadiness`. A trainee with three or more attempts also has a learning
+    curve. Three kinds of runs are left out: runs of another task, runs without a score, and runs
+    that touch no place of the tissue that the reference run touches. `Ranking.left_out` lists them.
+    ``ranking.csv`` also has rows for the runs without a score. `Ranking.notes` lists differences
+    between the scenes of the runs, such as differences in the coupling to the device.
 
     Parameters
     ----------
     folder
-        Folder that contains one folder for each trainee. A trainee's folder is the folder of a run,
-        or contains the folders of all attempts. The names of these folders give the order of the
-        attempts.
+        Folder that contains one folder for each trainee. A trainee's folder is either the folder of
+        one run, or contains one run folder for each attempt. The names of these folders give the
+        order of the attempts.
     reference
         Reference run, or its folder, with which the runs of all trainees are compared.
     force_limit_N, deviation_limit_mm, overshoot_limit_mm

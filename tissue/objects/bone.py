@@ -65,7 +65,7 @@ class BoneSource:
     density_kg_m3
         Density of a bone with a single density [kg/m3]; None for other bones.
     made_from
-        Shape and densities of a bone, if its voxels are made only near a tool.
+        Shape and densities of a bone whose voxels are made only near a tool; empty for other bones.
     """
 
     voxels: "Callable[[], VoxelVolume | BricksOnDemand]"
@@ -77,7 +77,7 @@ class BoneSource:
 
 @suggests_arguments
 class Bone:
-    """Bone that tools can cut, in the frame of its file or array [mm].
+    """Bone that tools can cut; coordinates are in the frame of its file or array [mm].
 
     `from_file`, `block`, `from_array` and `from_image` make a bone.
 
@@ -153,9 +153,9 @@ class Bone:
             Apparent densities [kg/m3], 50 to 2500.
         options
             ``material``: name of the material whose cutting coefficients are used, ``bone`` (built
-            in) or a registered material. ``cutting``: coefficients that replace coefficients of the
-            material, keyed by their names in a scene. ``materials``: file of constants, in the
-            format that `tissue fit` writes.
+            in) or a registered material. ``cutting``: coefficients that replace those of the
+            material; the keys are the names used in a scene. ``materials``: file of constants, in
+            the format that `tissue fit` writes.
 
         Raises
         ------
@@ -283,7 +283,7 @@ class Bone:
         max_memory_GB: float | None = None,
         **options: Unpack[BoneOptions],
     ) -> "Bone":
-        """Make a bone of uniform density from the voxels of an image above a grey value.
+        """Make a bone of uniform density from the image voxels above a grey-value threshold.
 
         The bone lies in the patient's frame (LPS, in millimetres).
 
@@ -375,17 +375,17 @@ class Bone:
         tool
             Cutter from `tissue.cutters`.
         poses, times_s
-            Poses of the tool, and the times of the poses [s], increasing, shape (n,). Three forms
+            Poses of the tool, and their times [s], shape (n,). The times must increase. Three forms
             of poses are accepted: tip positions [mm], shape (n, 3); tip positions and quaternions
             (x, y, z, w), shape (n, 7); or homogeneous matrices from tool frame to bone frame [mm],
             shape (n, 4, 4). The z axis of the tool runs from tip to shank.
         axis
             Direction from tip to shank if the poses are tip positions only; default z.
         depth_mm, tolerance
-            Depth of cut [mm], 0.001 to 100, and accepted relative error of the force at this depth,
-            0.001 to 0.1. From both, the number of cutting elements on the tool's surface is chosen.
-            Give the smallest depth of cut that matters. The voxels should be smaller than this
-            depth.
+            `depth_mm` is a depth of cut [mm], 0.001 to 100. `tolerance` is the accepted relative
+            error of the force at this depth, 0.001 to 0.1. Both determine the number of cutting
+            elements on the tool's surface. Give the smallest depth of cut that matters. The voxels
+            should be smaller than this depth.
         keep_clear
             Closed surfaces that the tool must not touch, keyed by name. Each surface is a file or a
             pyvista surface in the frame of the bone [mm]. The trace has a column
@@ -484,11 +484,11 @@ class Bone:
 
 
 def constants_of(bone: Bone) -> tuple[object, ...]:
-    """Return the constant data of a bone; a snapshot is valid only for a bone with equal data.
+    """Return the constant data of a bone, which must match when a snapshot is restored.
 
-    The data are the cutting coefficients, the voxel grid, the shape, and for each voxel the
-    material and the filled fraction before any cut. If voxels are made only near a tool, the shape
-    determines them, and material and filled fraction are None.
+    The data are the cutting coefficients, the voxel grid, the shape, and the material and initial
+    filled fraction of each voxel. If voxels are made only near a tool, the shape determines these
+    voxels, and the two arrays are None.
     """
     made = bone.voxel_bone
     store = made.store

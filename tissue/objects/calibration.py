@@ -42,7 +42,7 @@ __all__ = [
 
 @suggests_arguments
 def people(group: str, count: int, *, seed: int = 0) -> SimulatedObservers:
-    """Return random simulated observers of a user group.
+    """Return simulated observers of a user group, with random parameters.
 
     A simulated observer is a model of a person's force perception. Its parameters are drawn from
     distributions in the literature. The groups are novice, intermediate and expert.
@@ -51,7 +51,7 @@ def people(group: str, count: int, *, seed: int = 0) -> SimulatedObservers:
 
 
 def alike(count: int, **truth: float) -> SimulatedObservers:
-    """Return identical simulated observers: copies of the reference observer, with changes.
+    """Return identical copies of a default observer, with some attributes replaced.
 
     Parameters
     ----------
@@ -100,8 +100,8 @@ def run(
     name
         Name of the person who answers.
     plan
-        Plan of the questions; default 120 comparisons of two forces, and 24 forces to rate with a
-        number.
+        Plan of the questions. The default has 120 comparisons of two forces, and 24 forces to be
+        rated by a number.
     trials
         Number of trials after which the session stops; default all trials. A later call continues
         the session.
@@ -152,11 +152,12 @@ def share_right(
     first_N, second_N
         The two forces at the device [N], at most 3.3 N.
     seed
-        Seed of the observers' noise, and of the reported numbers in a calibration.
+        Seed of the observers' noise and of their ratings in a calibration.
     calibrated_by
         Number of forces that each observer rates in a calibration before the comparisons. The
-        result of this calibration scales the two forces for the observer. With 0, the observer's
-        true exponent and factor scale the forces. With None, the forces are not scaled.
+        result of this calibration scales the two forces for the observer. With 0, the true exponent
+        and factor of the observer's power law scale the forces. With None, the forces are not
+        scaled.
     """
     commands = None
     if calibrated_by is not None:
@@ -169,7 +170,7 @@ def share_right(
 
 @suggests_arguments
 def change_percent(before: Array, after: Array, *, seed: int = 0) -> Effect:
-    """Compute the change [%] of a mean share between two conditions, with a 95 % interval.
+    """Compute the change [%] of the mean share of correct answers, with a 95 % interval.
 
     `before` and `after` contain the share of each of n observers, shape (n,), in the same order.
     The result has the change as ``value``, and the ends of the interval as ``low`` and ``high``.

@@ -60,8 +60,8 @@ class Comparison:
     runs
         At least two runs, keyed by name.
     legend
-        Texts in the legend of the figure: ``values`` that differ between the runs, ``names`` of the
-        runs, or ``both``.
+        Text in the legend: ``values`` shows the values that differ between the runs, ``names``
+        shows the names of the runs, and ``both`` shows both.
 
     Attributes
     ----------
@@ -71,7 +71,8 @@ class Comparison:
         Figures (numbers that summarise a run) of each run: peak and mean force, removed volume and
         so on, with the unit in each name.
     scene_differences
-        Values of all runs for each scene key whose values differ; None for a missing value.
+        For each scene key that differs between runs, the values of all runs; None for a missing
+        value.
     notes
         Sentences on facts that limit the comparison, such as a run that ended early.
     """
@@ -89,11 +90,11 @@ class Comparison:
         self._legend = legend
 
     def rows(self) -> tuple[list[str], list[tuple[str, list[float | None]]]]:
-        """Return the table of summary values: column titles, and name and numbers of each row.
+        """Return the table of summary values: column titles, and the name and numbers of each row.
 
-        A row has the value of the first run. For each other run it also has three numbers: the
-        value, the difference from the first run, and this difference divided by the first run's
-        value.
+        Each row is for one summary value, and begins with its value in the first run. For each
+        other run it also has three numbers: the value, the difference from the first run, and this
+        difference divided by the first run's value.
         """
         first, *others = self.runs
         titles = [first]
@@ -147,7 +148,7 @@ class Comparison:
         return table.rename_axis(index="figure")
 
     def plot(self, over: "Over | None" = None) -> "NDArray[np.object_]":
-        """Draw thrust, force across the tool and torque of all runs, with 90 % uncertainty bands.
+        """Draw thrust, lateral force and torque of all runs, with 90 % uncertainty bands.
 
         The legend shows the values that differ between the runs. For two runs, an additional panel
         shows the difference of their forces.
@@ -155,10 +156,11 @@ class Comparison:
         Parameters
         ----------
         over
-            ``time``; or ``depth`` of the tool's tip below the point of first contact. Over depth,
-            only the ticks are drawn in which the tip is deeper than in all earlier ticks. The
-            default is depth if, for every tool, the depth exceeds half of the tip's path in
-            contact. A needle that is withdrawn is drawn over time.
+            ``time``, or ``depth``: the depth of the tip below the point of first contact, for a
+            needle along its axis. If `over` is ``depth``, only ticks in which the tip is deeper
+            than ever before are drawn. The default is ``depth`` if, in every run, the depth exceeds
+            half of the length of the tip's path in contact. A needle that is withdrawn is drawn
+            over time.
 
         Returns
         -------
@@ -306,7 +308,7 @@ class Comparison:
         return written
 
     def lines(self) -> list[str]:
-        """Return lines of text: scene keys that differ, equal summary values, and notes."""
+        """Return text lines: differing scene keys, summary values equal in all runs, and notes."""
         found = [
             f"{key}: {_each(self.runs, [_named(key, value) for value in values])}"
             for key, values in self.scene_differences.items()
@@ -350,8 +352,9 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
     runs
         At least two runs, or folders of runs.
     names
-        Names of the runs; default the names of the runs' folders, or of the scenes for runs without
-        a folder. If the parent folders differ, the names contain them.
+        Names of the runs. The default is the name of each run's folder, or the name of the scene if
+        the run has no folder. If the runs are in different parent folders, the default names
+        include the parent folder.
 
     Raises
     ------
@@ -393,7 +396,7 @@ def split_formats(formats: Iterable[str]) -> tuple[tuple[str, ...], tuple[str, .
 
 
 def shortened(key: str, values: Sequence[Any]) -> Sequence[Any]:
-    """Replace file paths by file names if the names are distinct; keep other values."""
+    """Shorten file paths in the values of a key to file names, if these remain distinct."""
     if not names_file(full_key(key)):
         return values
     names = [None if value is None else Path(str(value)).name for value in values]

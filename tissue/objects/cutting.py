@@ -81,8 +81,8 @@ def cut_along(
     loop.close()
     bone.left_at = tips[-1], turns[-1].as_matrix()
     cut = Cut.of(loop, poses.times_s, removed_before_m3=before)
-    cut.notes |= model.limits.passed
-    warn_of(list(model.limits.passed.values()))
+    cut.notes |= model.limits.exceeded
+    warn_of(list(model.limits.exceeded.values()))
     return cut
 
 
@@ -108,7 +108,7 @@ def _require_chips(model: BoneModel, number: int) -> None:
 
 @suggests_arguments
 def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
-    """Return tip positions and times along straight lines at a given feed, every millisecond.
+    """Return a tip position and a time for each millisecond of a feed along straight lines.
 
     Parameters
     ----------
@@ -219,7 +219,7 @@ def clearance_of(
     box_m: Array | None = None,
     times_s: Array | None = None,
 ) -> KeepClear | None:
-    """Return an object that measures a tool's distance from structures; None without structures.
+    """Return an object that measures a tool's distance from structures, if there are any.
 
     Parameters
     ----------
@@ -291,7 +291,7 @@ class Cut:
 
     @classmethod
     def of(cls, loop: Loop, times_s: Array, *, removed_before_m3: Array) -> "Cut":
-        """Return the result of a loop that has moved a tool through all poses at given times [s].
+        """Return the result of a loop that has moved a tool through poses at times `times_s`.
 
         `removed_before_m3` is the volume that was removed before this cut; it is subtracted.
         """
@@ -371,7 +371,7 @@ class Cut:
 
     @property
     def layer(self) -> NDArray[np.str_]:
-        """Name of the layer in which the largest area of the tool is engaged at each pose.
+        """Name of the layer that has the largest area in contact with the tool, for each pose.
 
         The result has shape (n,), with the name "none" at poses without contact.
         """
@@ -410,7 +410,7 @@ class Cut:
         Parameters
         ----------
         over
-            Figure that an earlier call returned. The curves of this cut are added to it:
+            Figure returned by an earlier call of `plot`. The curves of this cut are added to it:
             ``b.plot(over=a.plot(label="a"), label="b")``.
         label
             Name of this cut in the legend.

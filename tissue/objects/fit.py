@@ -37,12 +37,12 @@ class Fit:
 
     @property
     def verdicts(self) -> list[str]:
-        """Sentences on the constants that the data determine, and on useful new measurements."""
+        """Sentences on the constants that the data determine, and on helpful measurements."""
         return self.fitted.verdicts
 
     @property
     def laws(self) -> tuple[LawMisfit, ...]:
-        """Misfit of each cutting law to a table of steady loads; empty for other measurements."""
+        """Misfit of each cutting law to a table of steady loads; empty for other data."""
         return self.fitted.laws
 
     def to_pandas(self) -> "pandas.DataFrame":
@@ -72,9 +72,9 @@ class Fit:
     def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
         """Write the fitted constants, a report, pictures and numbers; return the folder.
 
-        ``fitted.toml`` contains the fitted constants of materials, for the key ``materials`` of a
-        scene. It is written only if there are such constants. Fitted values of scene keys, such as
-        ``organ.young_kPa``, are in the report, as options for the command line.
+        ``fitted.toml`` contains the fitted material constants; a scene reads it through its key
+        ``materials``. It is written only if there are such constants. The report gives fitted
+        values of scene keys, such as ``organ.young_kPa``, as command-line options.
 
         Raises
         ------
@@ -116,13 +116,13 @@ def fit(
         Scene with the tissue and the tool of the measurement. The poses of a log must be in the
         frame of the scene, and replace the motion of the scene.
     measured
-        CSV, Parquet, HDF5, .mat or .npz file. The trace of a run needs no `columns`. A table of
-        steady loads has the feed (``feed_mm_min`` or ``feed_mm_s`` with ``spin_rpm``, or
-        ``feed_mm_per_turn``), the loads (``thrust_N``, ``torque_Nmm`` or ``torque_Nm``), and
-        optionally their standard deviations (``thrust_pm_N``, ``torque_pm_Nmm`` or
-        ``torque_pm_Nm``). A table of presses has ``depth_mm``, ``force_N`` and optionally
-        ``probe``, the number of the press. For a table of presses, the tool of the scene must be
-        the ball, and the anatomy must be a slab with the thickness of the tissue.
+        CSV, Parquet, HDF5, .mat or .npz file. If the file is the trace of a run, `columns` is not
+        needed. A table of steady loads has the feed: ``feed_mm_per_turn``, or ``spin_rpm`` with
+        ``feed_mm_min`` or ``feed_mm_s``. Its loads are ``thrust_N``, and ``torque_Nmm`` or
+        ``torque_Nm``. Optional columns are the standard deviations ``thrust_pm_N``, and
+        ``torque_pm_Nmm`` or ``torque_pm_Nm``. A table of presses has ``depth_mm``, ``force_N`` and
+        optionally ``probe``, the number of the press. For a table of presses, the tool of the scene
+        must be the ball, and the anatomy must be a slab with the thickness of the tissue.
     free
         Constants to fit, such as ``cutting.trabecular`` or ``cutting.edge``. The default is all
         constants of the touched tissue that have a published range; see docs/guide/fit.md.
@@ -141,7 +141,7 @@ def fit(
     Raises
     ------
     InputError
-        If the file cannot be read, the tool never cuts on the path of the log, or the data
+        If the file cannot be read, if the tool never cuts along the logged path, or if the data
         determine no constant.
     """
     maps = (

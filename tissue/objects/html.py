@@ -31,7 +31,7 @@ def table_html(
 
 
 def curve(values: Sequence[float], *, title: str) -> str:
-    """Return the HTML of a small curve without axes; the vertical range starts at zero."""
+    """Return HTML of the values as a small curve without axes, with a vertical range from zero."""
     top = max(*values, 0.0) or 1.0
     step = 320.0 / max(len(values) - 1, 1)
     # One pixel is left above and below for the width of the line.
@@ -65,7 +65,7 @@ CURVE_POINTS = 300
 
 
 def run_line(summary: Summary) -> list[str]:
-    """Return one table row with the most important results of a run."""
+    """Return the most important results of a run as the cells of a table row."""
     name = str(summary.get("scene"))
     if summary["status"] != "complete":
         return [name, str(summary["status"])]
@@ -90,8 +90,8 @@ BANDED = {
 def figures_of_trace(trace: Table) -> dict[str, float]:
     """Return summary values of a run that ended early, keyed by names with units.
 
-    The values are the simulated time, and peak and mean loads in the trace. The trace may have no
-    rows.
+    The values are the simulated time and the peak and mean loads in the trace. The trace may have
+    no rows.
     """
     if not len(trace.rows):
         return {}
@@ -151,7 +151,7 @@ def intervals_of(summary: Summary) -> dict[str, tuple[float, float]]:
 
 
 def run_html(summary: Summary, events: list[tuple[float, str]], force_N: Array) -> str:
-    """Return HTML of a run: a table, the force curve, and collapsed events and notes."""
+    """Return HTML of a run: a table, the force curve, and collapsible lists of events and notes."""
     shown = table_html(run_rows(summary), caption=f"run of {summary.get('scene')}")
     if len(force_N):
         every = max(len(force_N) // CURVE_POINTS, 1)

@@ -33,8 +33,8 @@ from tissue.objects.loop_settings import (
     LONGEST_S,
     JudgedDevice,
     LoopOptions,
+    checked_tool,
     extent,
-    fitted,
     judged_device,
     leave_out,
     made_from_of,
@@ -47,7 +47,8 @@ from tissue.objects.press import organ_around
 from tissue.objects.simulate import TickRow
 from tissue.objects.tools import PressingTool
 from tissue.objects.trace import Trace
-from tissue.scene.scene import Scene
+from tissue.scene.scene import OWN_DISTANCES, Scene
+from tissue.scene.tool import Tool
 from tissue.simulation import loop as engine
 from tissue.simulation.builders.arguments import require_known
 from tissue.simulation.builders.parts import Parts
@@ -59,17 +60,17 @@ if TYPE_CHECKING:
     import pandas
     import pyvista
 
-    from tissue.models.organ.model import LiverModel
+    from tissue.models.organ.model import OrganModel
 
 
 @suggests_arguments
 class Loop:
-    """Simulation of a tool in a tissue in ticks of 1 ms, moved by a program or a haptic device.
+    """Simulation of a tool in a tissue, in ticks of 1 ms; a program or a device moves the tool.
 
     Without a device a program moves the tool: ``wrench = loop.step(pose)`` moves the tool to a pose
     and returns the force and torque on the tool. The tool follows the given poses exactly.
-    `snapshot` returns a copy of the state, and `restore` returns to this state. `reset` returns to
-    the initial state. After `restore`, equal poses give bit-identical forces.
+    `snapshot` returns a copy of the state, and `restore` loads such a copy. `reset` returns to the
+    initial state. After `restore`, the same poses give bit-identical forces.
 
     With a device, use ``with Loop(...) as loop: row = loop.step()`` or ``loop.run(10.0)``. In each
     tick the loop reads the device, the tool follows the device through a spring, and the tissue
@@ -190,7 +191,7 @@ class Loop:
         self._warned = set[str]()
         self._device: HandMotion | None = None
         self._session: PosedSession | None = None
-        self._organ: LiverModel | None = None
+        self._organ: OrganModel | None = None
         self._keep_ready: Callable[[Array], None] | None = None
         judged: JudgedDevice | None = None
         prepared: Region | None = None
@@ -201,14 +202,21 @@ class Loop:
                     "scene, use tissue.simulate(scene, device=...)"
                 )
             given = {"tool": tool, "start_mm": start_mm, "axis": axis}
-            leave_out(given | {"keep_clear": keep_clear} | options, "with a scene")
+            leave_out(given | options, "with a scene")
+            is_cut = isinstance(tissue.tool, Tool)
+            remedy = "name the structures in the table [keep_clear] of the scene"
+            leave_out(
+                {"keep_clear": keep_clear},
+                "with a scene" if is_cut else f"for a {tissue.tool.kind}",
+                remedy=remedy if is_cut else OWN_DISTANCES,
+            )
             made_from = scene_arguments(tissue)
             parts, prepared = posed_parts(tissue, reach_m=reach_m, cores=cores)
             self.notes = parts.notes
         else:
             leave_out({"cores": cores}, "without a scene")
             along = require_direction("axis", (0.0, 0.0, 1.0) if axis is None else axis)
-            fitting = fitted(tissue, tool, keep_clear)
+            fitting = checked_tool(tissue, tool, keep_clear)
             above = start_above(tissue, fitting, along) if start_mm is None else start_mm
             start_m = 1e-3 * require_vector("start_mm", above)
             if device is None:
@@ -309,11 +317,12 @@ class Loop:
         ----------
         pose
             Pose of the tool at the end of the step, in the frame of the tissue. Three forms are
-            accepted: a tip position [mm], shape (3,), with unchanged orientation; a tip position
+            accepted: a tip position [mm], shape (3,), which keeps the orientation; a tip position
             and a quaternion (x, y, z, w), shape (7,); or a homogeneous matrix, shape (4, 4). The z
             axis of the tool points from tip to shank. Leave out the pose if there is a device. The
             first pose has the time 0 in the trace. In a run of a scene, the start of the path has
-            the time 0. To get the same times, give the start of the path as the first pose.
+            the time 0. To get the same times as in a run of the scene, give the start of its path
+            as the first pose.
         velocity
             Velocity of the tip [mm/s], shape (3,), or velocity and angular velocity [rad/s] in one
             array, shape (6,). The default is the change of the pose divided by the duration of the
@@ -325,14 +334,14 @@ class Loop:
         TickRow or array
             Without a device: the wrench at the end of the step, shape (6,). The wrench contains the
             force on the tool [N] and the torque about the tip [N m], in the frame of the tissue.
-            With a device: the values of the trace in this tick, in a mapping that the next tick
-            overwrites.
+            With a device: a mapping with the values of the trace in this tick. The next tick
+            overwrites the mapping.
 
         Raises
         ------
         InputError
             If the pose is invalid, if a loop with a device is used outside a ``with`` block, or if
-            all rows of the trace are used. If the device fails, the error is a `DeviceError`.
+            the trace is full. If the device fails, the error is a `DeviceError`.
         """
         if self._session is not None:
             if pose is None:
@@ -369,7 +378,7 @@ class Loop:
         self._row.values_of_tick = self._loop.trace.rows[(self.ticks - 1) % self._most]
         if self._limits is None:
             return
-        passed = self._limits.passed
+        passed = self._limits.exceeded
         # A reset clears the limits, but there is only one warning for each limit.
         if not passed.keys() <= self._warned:
             warn_of([what for about, what in passed.items() if about not in self._warned])
@@ -402,15 +411,15 @@ class Loop:
         return self._posed("snapshot").snapshot()
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Return to a snapshot of this loop, or of a loop that was made from equal arguments.
+        """Restore a snapshot of this loop, or of another loop made with the same arguments.
 
         Rows of the trace after the time of the snapshot are removed.
 
         Raises
         ------
         InputError
-            If the tissue, tool, step duration or constants of the snapshot's loop differ from those
-            of this loop, or if the snapshot needs bone that this loop has not prepared.
+            If tissue, tool, step duration or constants of the snapshot's loop differ from those of
+            this loop, or if the snapshot needs bone whose voxels this loop has not made.
         """
         self._posed("restore").restore(snapshot)
         self._row.values_of_tick = self._loop.trace.rows[max(self.ticks - 1, 0) % self._most]
@@ -437,9 +446,9 @@ class Loop:
         real_time
             Whether each tick waits until it is due on the wall clock. A real device needs this. The
             ticks then run in a second thread. If the tissue is hyperelastic, its deformation is
-            solved in a third thread. A read of the device that takes longer than 2.5 ms gives no
-            sample. If the device gets no command for 50 ms, it receives zero force. Without real
-            time, the ticks wait for the solution of the hyperelastic deformation.
+            solved in a third thread. If a read of the device takes longer than 2.5 ms, the tick has
+            no device sample. If the device gets no command for 50 ms, it receives zero force. If
+            `real_time` is False, the ticks wait for the solution of the hyperelastic deformation.
         on_tick
             Function that is called after every tick with the number of the tick and its row of the
             trace. The run ends if the function returns False.

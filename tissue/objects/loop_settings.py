@@ -30,7 +30,7 @@ from tissue.scene.registry import PREDICTORS
 from tissue.scene.scene import Output, Scene
 from tissue.scene.used_constants import used_of_device
 from tissue.simulation.builders.arguments import given_note, stated
-from tissue.simulation.builders.force_met import Met, Series, scale_for, slot_force_N
+from tissue.simulation.builders.force_scale import ExpectedForce, Series, scale_for, slot_force_N
 from tissue.simulation.builders.hand import device_motion
 from tissue.simulation.builders.loop import LoopSettings, sampled
 from tissue.simulation.builders.parts import require_device, require_stated_rate
@@ -76,7 +76,7 @@ class LoopOptions(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class JudgedDevice:
-    """Motion and output of a device whose coupling to the tool has passed the stability check.
+    """Motion and output settings of a device whose coupling has passed the stability check.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ def judged_device(
     tissue, tool
         Tissue, and the tool that cuts or presses it.
     start_m, along
-        Start position of the tip [m], and direction of the tool from tip to shank, each of shape
+        Start position of the tip [m], and direction from the tool's tip to its shank, each of shape
         (3,).
     options
         Options from the caller of `Loop`.
@@ -130,7 +130,7 @@ def judged_device(
         assert isinstance(tool, Cutter)
         usual_N = slot_force_N(tissue.voxel_bone, tool)
         series = Series.of(settings.limits, settings.constants)
-        scale = scale_for(Met(usual_N), settings.limits, series)
+        scale = scale_for(ExpectedForce(usual_N), settings.limits, series)
         scale_note = (
             f", chosen for the {usual_N:.3g} N of a slot a quarter of the cutter deep at 2 mm/s"
         )
@@ -252,11 +252,11 @@ def tissue_of(tissue: Bone | Organ | Scene | str) -> Bone | Organ | Scene:
 def extent(
     *, is_scene: bool, longest_s: float, step_ms: int, reach_mm: float | None
 ) -> tuple[int, int, float]:
-    """Return numbers of ticks, and the distance of prepared tissue, from arguments of `Loop`.
+    """Compute two numbers of ticks and the reach of the tissue model from arguments of `Loop`.
 
     The result has three values: the number of ticks that the trace keeps, the number of ticks in a
-    step, and a distance [m]. Tissue within this distance of the tool, or of the path of a scene, is
-    prepared.
+    step, and a distance [m]. The model is built for tissue within this distance of the tool, or of
+    the path in a scene.
 
     Raises
     ------
@@ -285,10 +285,10 @@ def leave_out(given: Mapping[str, object], when: str, *, remedy: str = "remove i
             raise InputError(name, f"be left out {when}", repr(value)[:60], remedy)
 
 
-def fitted(
+def checked_tool(
     tissue: Bone | Organ, tool: Cutter | PressingTool | None, keep_clear: Structures | None
 ) -> Cutter | PressingTool:
-    """Return the given tool after checks, or a default tool for the tissue."""
+    """Validate the tool and return it, or return the default tool for the tissue."""
     if isinstance(tissue, Bone):
         burr = tool or ball_burr(diameter_mm=4, flutes=6, spin_rpm=20_000)
         tissue.require_cutter(burr)
@@ -312,7 +312,7 @@ def fitted(
 def made_from_of(
     tissue: Bone | Organ, tool: Cutter | PressingTool, keep_clear: Structures | None
 ) -> tuple[object, ...]:
-    """Return the data that determine the forces; a snapshot is valid only for equal data."""
+    """Return the data that determine the forces and must match when a snapshot is restored."""
     if isinstance(tissue, Bone):
         return (*constants_of(tissue), tool, tuple(keep_clear or ()))
     assert isinstance(tool, PressingTool)
@@ -332,7 +332,7 @@ def made_from_of(
 
 
 def region(start_m: Array, axis: Array, reach_m: float) -> Region:
-    """Return the region around and below a start position in which a tool may touch an organ."""
+    """Return the region, around and below a start position, in which a tool may touch an organ."""
     turn = frame_along(axis)
     place = start_m @ turn
     far = np.array([reach_m, reach_m, np.inf])

@@ -75,9 +75,10 @@ class Organ:
         Parameters
         ----------
         mesh
-            pyvista UnstructuredGrid, a mesh of meshio, points and cells as a pair of arrays, or a
-            file (.vtu .vtk .msh .mesh). A cell array of numbers or names assigns the tetrahedra to
-            parts. This array is called ``part``, or has the name that common mesh generators use.
+            A pyvista UnstructuredGrid, a meshio mesh, a pair of arrays (points, cells), or a file
+            (.vtu .vtk .msh .mesh). If the mesh has a cell array of part numbers or names, it
+            assigns the tetrahedra to parts. This array must be named ``part``, or have a name that
+            common mesh generators use.
         modulus_kPa, poisson_ratio
             Young's modulus [kPa] and Poisson's ratio.
         parts
@@ -88,10 +89,10 @@ class Organ:
         scale_mm
             Millimetres per unit of the mesh; default 1. A mesh with an implausible size is refused.
         held
-            Points that do not move: a side of the surface, the name of a part, a mask of the mesh's
-            points, or their indices. A side is ``bottom`` (-z), ``top`` (+z), ``-x``, ``+x`` and so
-            on. A side consists of the faces whose outward normals are within 60 degrees of its
-            direction.
+            Points that do not move: a side of the surface, the name of a part, a mask over the
+            points of the mesh, or point indices. A side is ``bottom`` (-z), ``top`` (+z), ``-x``,
+            ``+x`` and so on. A side consists of the faces whose outward normals are within 60
+            degrees of its direction.
         held_below_mm
             Height z below which points of the surface do not move [mm]; an alternative to `held`.
         order
@@ -108,7 +109,7 @@ class Organ:
             Terms of a Prony series: pairs of a share of the modulus and a relaxation time [s]. With
             `relaxation`, `modulus_kPa` is the instantaneous modulus.
         law
-            Hyperelastic law, with the names and keys of `organ.law` in scenes: ``"neo-hookean"`` or
+            Hyperelastic law, written as in the scene key `organ.law`: ``"neo-hookean"`` or
             ``{"name": "yeoh", "square_ratio": 0.5}``. A hyperelastic law cannot be combined with a
             density. The default is the linear law.
 
@@ -144,8 +145,8 @@ class Organ:
         Parameters
         ----------
         surface
-            Surface of pyvista or trimesh, vertices and triangles as a pair of arrays, or a file
-            (.stl .obj .ply .vtk).
+            A pyvista or trimesh surface, a pair of arrays (vertices, triangles), or a file (.stl
+            .obj .ply .vtk).
         modulus_kPa, poisson_ratio, parts, scale_mm, options
             As for `from_tetrahedra`.
         edge_mm
@@ -154,7 +155,7 @@ class Organ:
             surface by at most a tenth of this length, and by at most 0.4 mm.
         inclusions
             Closed surfaces inside the organ, keyed by name. The volume inside each surface becomes
-            a part with this name, whose modulus is in `parts`.
+            a part with the name of the surface; `parts` gives its modulus.
         progress
             Function that is called with the name of the current work and its completed share (0 to
             1).
@@ -195,8 +196,8 @@ class Organ:
     ) -> Organ:
         """Make an organ from a segmentation.
 
-        Structures in the organ or on its surface, such as a tumour or a vessel, become parts of the
-        organ with moduli of their own.
+        Structures listed in `parts`, such as a tumour or a vessel, become parts of the organ with
+        their own moduli.
 
         The surface of the organ is smooth, and encloses the same volume as the voxels of the label.
         The organ lies in the frame of the image (LPS): x points to the patient's left, y to the
@@ -212,14 +213,14 @@ class Organ:
         modulus_kPa, poisson_ratio, options
             As for `from_tetrahedra`.
         parts
-            Young's moduli [kPa] of additional labels, keyed by name or number. Each of these labels
-            becomes a part.
+            Young's moduli [kPa] of labels other than `organ`, keyed by name or number. Each of
+            these labels becomes a part.
         names
-            Names of the labels for a file without names: ``totalsegmentator``, ``verse``, or a TOML
-            file.
+            Source of the label names if the file has none: ``totalsegmentator``, ``verse``, or a
+            TOML file.
         spacing_mm
-            Spacing of the voxels [mm], one number or three, for a file that does not contain the
-            spacing.
+            Spacing of the voxels [mm], one or three numbers; needed if the file does not contain
+            it.
         edge_mm
             Edge length of the tetrahedra [mm]; default 1/14 of the longest side.
         progress
@@ -253,7 +254,7 @@ class Organ:
         edge_mm: float | None = None,
         **options: Unpack[OrganOptions],
     ) -> Organ:
-        """Make a block of tissue whose bottom face is fixed, with z up.
+        """Make a block of tissue with a fixed bottom face; z points up.
 
         The origin is at the middle of the top face.
 
@@ -288,7 +289,7 @@ class Organ:
         edge_mm: float = 20.0,
         **options: Unpack[OrganOptions],
     ) -> Organ:
-        """Make the liver of the built-in scenes, whose shape is defined by formulas.
+        """Make the liver of the built-in scenes; formulas define its shape.
 
         The origin is on top of the right lobe. The z axis points to the head, and x to the left.
 
@@ -336,23 +337,25 @@ class Organ:
     def refined(self, *, edge_mm: float, near_mm: ArrayLike | None = None) -> Organ:
         """Return a copy of the organ with a finer mesh near points where a tool will press.
 
-        For a press, the edges under the tool should be a quarter of the tool's diameter long.
+        For a press, the length of the edges under the tool should be a quarter of the tool's
+        diameter.
 
         Parameters
         ----------
         edge_mm
-            Longest edge at the points `near_mm` [mm]. Away from these points, the longest edge
-            increases by half of the distance to the nearest point.
+            Longest edge at the points `near_mm` [mm]. Elsewhere, the longest edge is `edge_mm` plus
+            half of the distance to the nearest of these points.
         near_mm
             Points [mm], shape (k, 3) or (3,), near which the mesh is refined; default the whole
-            surface. Each point is moved to the nearest point of the surface. From the second press
-            on, presses at these points are fast. Each press elsewhere takes some seconds longer.
+            surface. Each point is moved to the nearest point of the surface. Presses at these
+            points are fast, except for the first press. Each press elsewhere takes some seconds
+            longer.
         """
         return Organ(self._made.refined(edge_mm, near_mm))
 
     @cached_property
     def mesh(self) -> pyvista.UnstructuredGrid:
-        """Mesh of the organ [mm], with the cell array ``part`` and the point array ``held``."""
+        """Mesh of the organ [mm], with the parts of cells (``part``) and held points (``held``)."""
         grid = grid_of(self._made.mesh)
         grid.point_data["held"] = np.isin(np.arange(grid.n_points), self._made.held)
         return grid
@@ -377,7 +380,7 @@ class Organ:
         hold_s: float = 0.0,
         progress: Progress = silent,
     ) -> Press:
-        """Press a tool into the undeformed organ, in steps of depth, from the first contact on.
+        """Press a tool into the undeformed organ in steps of depth, starting at first contact.
 
         Parameters
         ----------
@@ -400,8 +403,8 @@ class Organ:
         Raises
         ------
         InputError
-            If the target point is far from the surface or belongs to the held points, or the path
-            of the tool to this point is blocked.
+            If the target point is far from the surface or is a held point, or if the organ blocks
+            the tool's path to it.
         """
         if self.soft.prony is None and (speed_mm_s is not None or hold_s):
             given = "hold_s" if hold_s else "speed_mm_s"

@@ -11,7 +11,7 @@ from meshes.base.arrays import Array, Flags, Ints
 from meshes.base.errors import InputError
 from tissue.objects.plots import COLOURS, new_panels
 from tissue.show.figures.figure import plain, styled, torque_unit
-from tissue.show.figures.force_depth import deepening_rows
+from tissue.show.figures.force_depth import deepening_rows, needle_travel_mm
 from tissue.simulation.bone_surface import facing
 
 if TYPE_CHECKING:
@@ -27,20 +27,25 @@ LONG = 28
 """Length of the longest name [letters] above which a line of the legend holds only two names."""
 SMALL = 0.05
 """Smallest ratio of a drawn force component to the largest force component."""
+INSERTION = "insertion_mm"
+"""Column that only the trace of a needle has."""
 MAINLY = 0.5
 """Ratio of depth to path length in contact, above which depth is the default abscissa."""
 WIDTHS = 2.2, 1.0
 """Line widths of the first and last curve [points]; wide curves stay visible below thin ones."""
 THRUST, ACROSS_X, ACROSS_Y, TORQUE = range(4)
 FORCES = ("thrust / N", "force across\nthe tool, x / N", "force across\nthe tool, y / N")
-LOW = 0
-HIGH = -1
-"""Index of the 95 % quantile in an uncertainty band; `LOW` is the index of the 5 % quantile."""
+LOWER_QUANTILE = 0
+UPPER_QUANTILE = -1
+"""Index of the 95 % quantile in an uncertainty band.
+
+`LOWER_QUANTILE` is the index of the 5 % quantile.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One run of the plot.
+    """One run in a plot.
 
     Attributes
     ----------
@@ -51,8 +56,8 @@ class Curve:
     band
         Uncertainty band of the run; None to draw no band.
     is_path_given
-        Whether the tool follows a given path. The depth at a given time is then equal in all
-        samples of the uncertainty band, so the band can be drawn over depth.
+        Whether the tool follows a given path. All samples of the uncertainty band then have the
+        same depth at a given time, so the band can be drawn over depth.
     """
 
     label: str
@@ -73,8 +78,8 @@ class Loads:
         Columns: thrust [N], two force components perpendicular to the tool's axis [N], and torque
         [N m]; shape (rows, 4).
     low, high
-        Ends of the 90 % uncertainty band of `values` in the first n rows, shape (n, 4); None
-        without a band.
+        Ends of the 90 % uncertainty band of `values`, shape (n, 4). The band covers the first n
+        rows. None without a band.
     force
         Force on the tool in the world frame [N], shape (rows, 3).
     """
@@ -87,7 +92,7 @@ class Loads:
 
 
 def chosen_over(curves: Sequence[Curve]) -> Over:
-    """Return depth if all tools mainly move into the tissue, else time.
+    """Return ``depth`` if all tools mainly move into the tissue, else ``time``.
 
     If a run has an uncertainty band and its tool does not follow a given path, return ``time``.
     """
@@ -105,17 +110,22 @@ def _mainly_descends(trace: "Table") -> bool:
 
 
 def _heights(trace: "Table") -> tuple[Flags, Array]:
-    """Return a mask of rows in contact, and the tip's coordinate along the outward axis [mm]."""
+    """Return a mask of rows in contact, and the tip's coordinate along the outward axis [mm].
+
+    For a needle, the coordinate is the negative travel of the tip along the needle.
+    """
+    contact = trace["contact_mm2"] > 0.0
+    if INSERTION in trace.columns:
+        return contact, -needle_travel_mm(trace)
     axis, outward = facing(trace)
-    height = outward * trace.vectors("tool", "mm")[:, axis]
-    return trace["contact_mm2"] > 0.0, height
+    return contact, outward * trace.vectors("tool", "mm")[:, axis]
 
 
 @styled
 def overlay(
     curves: Sequence[Curve], *, over: Over | None = None, about_axis: bool = True
 ) -> NDArray[np.object_]:
-    """Draw thrust, force across the tool and torque of all runs in one figure.
+    """Draw thrust, lateral force and torque of all runs in one figure.
 
     A force component perpendicular to the tool's axis is not drawn if it is small in all runs. For
     two runs, the last panel shows the magnitude of the vector difference of the two forces at equal
@@ -126,9 +136,9 @@ def overlay(
     curves
         Runs in the order of the legend.
     over
-        ``time``; or ``depth`` below the point of first contact. Over depth, only the ticks are
-        drawn in which the tip is deeper than in all earlier ticks. See `chosen_over` for the
-        default.
+        ``time``; or ``depth`` below the point of first contact, for a needle along its axis. Over
+        depth, only ticks in which the tip is deeper than ever before are drawn. See `chosen_over`
+        for the default.
     about_axis
         Whether to draw the torque about the tool's axis. Otherwise the magnitude of the torque
         vector is drawn.
@@ -157,6 +167,8 @@ def overlay(
         panels[-1].set_ylabel("magnitude of the\nforce difference / N")
         panels[-1].plot(*_difference(*loads), color="0.3", linewidth=1.1)
     depth = "depth of the tool's tip from its first contact / mm"
+    if all(INSERTION in each.trace.columns for each in curves):
+        depth = "travel of the tip along the needle, from its first contact / mm"
     panels[-1].set_xlabel("time / s" if over == "time" else depth)
     _legend(panels, curves)
     plain(panels)
@@ -249,8 +261,10 @@ def _band_ends(
     places = [at[2], at[0], at[1], 4 + at[2] if about_axis else 7]
     signs = np.array([sign[2], sign[0], sign[1], sign[2] if about_axis else 1.0])
     # a band may end before its run
-    rows = rows[rows < len(band.quantiles[LOW])]
-    ends = [signs * band.quantiles[end][rows][:, places] for end in (LOW, HIGH)]
+    rows = rows[rows < len(band.quantiles[LOWER_QUANTILE])]
+    ends = [
+        signs * band.quantiles[end][rows][:, places] for end in (LOWER_QUANTILE, UPPER_QUANTILE)
+    ]
     return np.minimum(*ends), np.maximum(*ends)
 
 

@@ -38,7 +38,7 @@ def check_name(kind: str, given: object, *, argument: bool = False) -> None:
 
 
 def check_callable(kind: str, given: str, part: object, methods: Sequence[str] = ()) -> None:
-    """Raise an error if a part is not callable, or is a class without a required method."""
+    """Raise an error if a part is not callable, or is a class that lacks a required method."""
     if not callable(part):
         raise InputError(
             f"{kind} {given}",
@@ -59,7 +59,7 @@ def check_callable(kind: str, given: str, part: object, methods: Sequence[str] =
 
 
 def check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
-    """Raise an error if a function cannot be called with the sizes of a tool as arguments."""
+    """Raise an error if a tool's profile function does not accept the tool's sizes as arguments."""
     known = dict.fromkeys(chain.from_iterable(CUTTERS[each].keys for each in CUTTERS.built_in))
     for key in keys:
         if key not in known:
@@ -82,7 +82,7 @@ def check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
 
 
 def check_parameters(kind: str, given: str, part: Any) -> None:
-    """Raise an error unless a class is a subclass of `Part` with the given name as `kind`."""
+    """Raise an error if a class is no subclass of `Part`, or if its `kind` is not `given`."""
     from tissue.scene.anatomy import Part
     from tissue.scene.part import kinds_of
 
@@ -99,7 +99,7 @@ def check_parameters(kind: str, given: str, part: Any) -> None:
 def checked_numbers(
     kind: Any, numbers: Any, *, needed: Sequence[str] = (), of: str = "numbers"
 ) -> dict[str, float]:
-    """Return a dict of the values in an instance of `kind`, or in a mapping, which is validated."""
+    """Return the values of `numbers` as a dict; a mapping is validated against `kind` first."""
     if isinstance(numbers, kind):
         return asdict(numbers)
     if not isinstance(numbers, Mapping):

@@ -122,7 +122,7 @@ def plot_figures(
     over: str,
     title: str,
 ) -> NDArray[np.object_]:
-    """Draw summary values of runs over a swept value, with a line for each group of runs.
+    """Draw summary values of runs over a varied value, with one line for each group of runs.
 
     Parameters
     ----------
@@ -131,9 +131,10 @@ def plot_figures(
     names
         Names of the summary values to draw, one in each panel.
     over
-        Scene key whose value was swept; it is the horizontal axis.
+        Scene key whose values were varied; these values are on the horizontal axis.
     title
-        Scene key whose value differs between the lines; empty for a single line without a legend.
+        Title of the legend: the scene key whose value differs between the lines. Empty for a single
+        line without a legend.
 
     Returns
     -------

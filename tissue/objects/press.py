@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyvista
 
-    from tissue.models.organ.model import LiverModel
+    from tissue.models.organ.model import OrganModel
     from tissue.models.organ.press import PressCurve
     from tissue.models.organ.soft_organ import SoftOrgan
 
 SLOPE_SHARE = 0.1
 """Share of the depth over which the stiffness is computed: the last 10 of 100 steps."""
-FAR = 0.1
+LARGEST_OFFSET_RATIO = 0.1
 """Largest accepted ratio of a point's distance from the surface to the organ's longest side.
 
 A point farther away is treated as a mistake, for example in the unit. The value is a design choice.
@@ -97,7 +97,7 @@ class Press:
         each of shape (3,).
     notes
         Notes on assumptions and on limits of the model, keyed by subject. For a ball, the note
-        ``linear`` states the depth up to which the linear law is valid.
+        ``linear`` gives the depth up to which linear elasticity is valid.
     """
 
     tool: PressingTool
@@ -149,7 +149,7 @@ class Press:
 
     @property
     def stiffness_N_mm(self) -> float:
-        """Slope of the force along the press over the last tenth of the depth [N/mm]."""
+        """Slope of the force in the press direction over the last tenth of the depth [N/mm]."""
         depth = self.depth_mm
         force = -self.forces_N @ self.along
         last = int(np.argmax(depth >= depth[-1]))
@@ -159,7 +159,7 @@ class Press:
 
     @cached_property
     def mesh(self) -> pyvista.UnstructuredGrid:
-        """Undeformed mesh with displacement, stress and strain at the end of the press [mm].
+        """Undeformed mesh [mm], with displacement, stress and strain at the end of the press.
 
         The point arrays are ``displacement_mm`` and ``reaction_N``. The cell arrays are
         ``von_mises_kPa``, ``principal_stress_kPa``, ``strain_percent`` and ``part``. The array
@@ -316,8 +316,8 @@ def press_at(
     at_m
         The given point [m], shape (3,).
     along
-        Direction of the tool's motion, shape (3,). None: opposite to the mean surface normal under
-        the tool, into the organ.
+        Direction of the tool's motion, shape (3,). If None, the tool moves into the organ, opposite
+        to the mean surface normal under the tool.
     moves
         Depth, speed, holding time and progress, as for `tissue.models.organ.press.press`.
 
@@ -337,10 +337,13 @@ def press_at(
     # Adding 0.0 turns -0.0 into 0.0.
     nearest = in_brackets(np.round(1e3 * point, 3) + 0.0)
     found = f"the nearest point of the surface, {nearest} mm, is {1e3 * away:.3g} mm away"
-    if away > FAR * size:
+    if away > LARGEST_OFFSET_RATIO * size:
         raise InputError("at_mm", "lie on the surface", in_brackets(1000.0 * at_m, ".4g"), found)
     if away > NEAR_M:
-        notes["place"] = found
+        notes["place"] = (
+            f"at_mm lies {1e3 * away:.3g} mm from the surface, so the nearest point of the "
+            f"surface is used: {nearest} mm"
+        )
     direction = -normal if along is None else require_direction("along", along)
     if direction @ normal >= 0.0:
         inward = in_brackets(0.0 - normal, ".2g")
@@ -408,8 +411,9 @@ def _resolution(mesh: TetMesh, probe: ProbeShape, point_m: Array, *, order: int)
             "less"
         }
     return {
-        "mesh": f"edges of up to {1e3 * edge:.3g} mm under a tool of {2e3 * radius:.3g} mm, which "
-        f"takes {1e3 * wanted:.3g} mm: refine the organ there"
+        "mesh": f"the edges under the tool are up to {1e3 * edge:.3g} mm long, but a tool of "
+        f"{2e3 * radius:.3g} mm needs edges of {1e3 * wanted:.3g} mm or less: refine the organ "
+        "there"
     }
 
 
@@ -426,13 +430,13 @@ def _linear(probe: ProbeShape, depth_m: float) -> dict[str, str]:
     passed = [(depth, error) for depth, error in limits if 1e3 * depth_m > depth]
     depth, error = passed[-1] if passed else limits[0]
     note = (
-        f"the linear law is within {error:.0%} of a hyperelastic force up to a depth of "
+        f"the linear law is within {error:.0%} of a hyperelastic law up to a depth of "
         f"{depth:.2g} mm"
     )
     if passed:
         note = (
-            f"pressed {1e3 * depth_m:.3g} mm deep: from {depth:.2g} mm on the linear "
-            f"law differs from a hyperelastic force by more than {error:.0%}"
+            f"pressed {1e3 * depth_m:.3g} mm deep: beyond {depth:.2g} mm, the force of the linear "
+            f"law differs by more than {error:.0%} from the force of a hyperelastic law"
         )
     return {"linear": note}
 
@@ -450,7 +454,7 @@ def _across(along: Any) -> Any:
 
 
 def shaded(body: pyvista.DataSet) -> pyvista.PolyData:
-    """Return the surface of a body with outward normals for shading; sharp edges stay sharp."""
+    """Return a body's surface, with outward normals for smooth shading and with sharp edges."""
     surface = body.extract_surface(algorithm="dataset_surface").triangulate()
     # 40 degrees is more than the angles between triangles of a round surface, and less than the
     # angle at an edge.
@@ -460,7 +464,7 @@ def shaded(body: pyvista.DataSet) -> pyvista.PolyData:
 
 
 def new_plotter(options: dict[str, Any]) -> pyvista.Plotter:
-    """Return a plotter with a white background; its options are removed from `options`."""
+    """Return a plotter with a white background, and remove the plotter's options from `options`."""
     import pyvista
 
     mine = {
@@ -475,13 +479,13 @@ def new_plotter(options: dict[str, Any]) -> pyvista.Plotter:
 
 def organ_around(
     organ: SoftOrgan, tool: PressingTool, start_m: Array, axis: Array, *, reach_m: float
-) -> LiverModel:
+) -> OrganModel:
     """Return the model of an organ for a loop, prepared for presses near the start of the tool.
 
-    The tip of the tool may move from `start_m` by up to `reach_m` [m] in each direction
-    perpendicular to `axis`, and by up to `reach_m` opposite to `axis`, into the organ.
+    The tip may move up to `reach_m` [m] from `start_m` in each direction perpendicular to `axis`,
+    and up to `reach_m` into the organ (opposite to `axis`).
     """
-    from tissue.models.organ.model import ContactSolution, LiverModel
+    from tissue.models.organ.model import ContactSolution, OrganModel
     from tissue.models.organ.soft_organ import ToolPath
     from tissue.simulation.builders.organ import REGION
 
@@ -497,4 +501,4 @@ def organ_around(
     )
     tips = start_m + np.column_stack([x, y, z]) @ turn.T
     path = ToolPath(tool.shape, tips, np.broadcast_to(turn, (len(tips), 3, 3)))
-    return LiverModel(organ, path, ContactSolution("condensed"))
+    return OrganModel(organ, path, ContactSolution("condensed"))

@@ -54,9 +54,9 @@ F = TypeVar("F")
 class register:
     """Registration of user-defined parts by name.
 
-    A part is a class or function for one key of a scene, such as a tool, a device or a predictor.
-    After registration, the key accepts the name of the part, and the schema, charts and the
-    stability check include it.
+    A part is a class or function that a scene selects by name, such as a tool, a device or a
+    predictor. After registration, the key accepts the name of the part, and the part appears in the
+    schema, the charts and the stability check.
 
     Each method takes a name and the class or function. Without the class or function, the method
     returns a decorator for it. An error is raised if the name is in use, or if a required method is
@@ -74,8 +74,9 @@ class register:
             Name that selects the tool in a scene: a value of the key ``tool.kind``.
         profile
             Function that returns a `tissue.cutters.profile.Profile`. Its arguments are
-            ``diameter_m`` and one argument for each of `keys`, in metres or radians: ``length_m``
-            for the key ``length_mm``, ``point_angle_rad`` for the key ``point_angle_deg``.
+            ``diameter_m`` and one argument for each of `keys`, in metres or radians. Examples are
+            ``length_m`` for the key ``length_mm``, and ``point_angle_rad`` for the key
+            ``point_angle_deg``.
         keys
             Keys in a scene's `tool` table that define the shape in addition to the diameter.
         """
@@ -88,7 +89,7 @@ class register:
 
     @staticmethod
     def probe(name: str, make: F | None = None, *, keys: tuple[str, ...] = ("diameter_mm",)) -> Any:
-        """Register a smooth pressing tool; ``make(tool)`` returns its `ProbeShape`."""
+        """Register a smooth pressing tool; the function ``make(tool)`` returns its `ProbeShape`."""
 
         return _added("probe", name, make, PROBES, lambda part: ProbeEntry(part, tuple(keys)))
 
@@ -96,8 +97,8 @@ class register:
     def needle(name: str, make: F | None = None) -> Any:
         """Register a needle.
 
-        ``make(walls=...)`` returns the `NeedleTissue` that the needle pierces; ``walls`` are the
-        membranes in the tissue of the scene.
+        ``make(walls=...)`` returns the `NeedleTissue`: the parameters of the tissue for this
+        needle. ``walls`` are the membranes in the tissue of the scene.
         """
 
         return _added("needle", name, make, NEEDLES)
@@ -139,8 +140,8 @@ class register:
     ) -> Any:
         """Register a tissue.
 
-        ``build(scene, motion, *, step_s, compute, cores, report)`` returns the objects that a run
-        needs, such as the tissue model.
+        ``build(scene, motion, *, step_s, compute, cores, report)`` returns `Parts`: the tissue
+        model and the other objects that a run needs.
 
         Parameters
         ----------
@@ -178,8 +179,9 @@ class register:
         name
             Name that selects the device in a scene: a value of the key ``device.kind``.
         numbers
-            Values of `tissue.haptics.device.device.DeviceParameters` in SI units for the stability
-            check; ``mass_kg`` and ``damping_N_s_m`` are required.
+            Parameters of the device in SI units, as in
+            `tissue.haptics.device.device.DeviceParameters`, for the stability check. ``mass_kg``
+            and ``damping_N_s_m`` are required.
         make
             Function that opens the device for `tissue.simulate` and ``tissue run``. It is called
             with the position [m] at which the tool starts in the scene, and returns a
@@ -225,7 +227,7 @@ class register:
 
         ``make(loop)`` returns the law for a `WallLoop`. The law has the methods `render` and
         `pause`. The stability check assumes that the law renders the stiffness
-        ``loop.stiffness_N_m``, and does not detect a higher stiffness.
+        ``loop.stiffness_N_m``; it cannot detect a higher one.
         """
         return _added("renderer", name, make, RENDERERS, methods=("render", "pause"))
 
@@ -238,8 +240,8 @@ class register:
     ) -> Any:
         """Register a predictor of the force: a class with the methods `observe` and `predict`.
 
-        A guard monitors the predictor. While the last force has smaller errors than the predicted
-        forces, the guard uses the last force instead; see `tissue.prediction.guard`. The stability
+        A guard monitors the predictor. While holding the last force would give smaller errors than
+        the predictions, the guard uses the last force; see `tissue.prediction.guard`. The stability
         check includes the predictor.
 
         Parameters
@@ -247,9 +249,9 @@ class register:
         name
             Name that selects the predictor in a scene: a value of the key ``device.prediction``.
         make
-            Class or function that makes the predictor. If `trained` is set, it is called with the
-            `tissue.prediction.trained.Trained` that ``tissue train`` wrote for the scene. Otherwise
-            it is called without arguments.
+            Class or function that makes the predictor. If `trained` is True, `make` is called with
+            the `tissue.prediction.trained.Trained` that ``tissue train`` wrote for the scene.
+            Otherwise it is called without arguments.
         trained
             Whether `make` takes a `Trained`.
         """
@@ -275,8 +277,9 @@ class register:
     def offered(kind: str, name: str, load: Callable[[], Any]) -> None:
         """Register the part that an entry point of an installed package offers.
 
-        If the import of the part registers it, for example with a decorator, the method adds
-        nothing. If the program has already registered a part under this name, that part is kept.
+        If importing the part already registers it, for example by a decorator, the method does
+        nothing more. If the program has already registered a part under this name, that part is
+        kept.
 
         Raises
         ------

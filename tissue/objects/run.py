@@ -41,7 +41,7 @@ class Run(engine.Run):
     Parameters
     ----------
     simulated
-        Result of the simulation engine, which has no plots and views.
+        Result of the simulation engine, without methods for plots and views.
 
     Attributes
     ----------
@@ -203,14 +203,14 @@ class Run(engine.Run):
         interactive
             Whether the view can be rotated with the mouse. In a notebook, an interactive view needs
             the optional packages of ``tissue[notebook]``. In a script, it needs a display, and
-            opens the window of the command `tissue view`. The default is an interactive view where
-            this is possible, otherwise a picture.
+            opens the window of the command `tissue view`. By default, the view is interactive if
+            possible, and otherwise a picture.
         screenshot
             PNG file to write; an existing file is replaced.
 
         Returns
         -------
-        In a notebook, an interactive view. In a script with a display, None, after the user has
+        In a notebook, an interactive view. In a script with a display: None, once the user has
         closed the window. Otherwise a Pillow image.
 
         Raises
@@ -236,7 +236,7 @@ class Run(engine.Run):
         pictures: bool | str = True,
         progress: Bar = None,
     ) -> "Band":
-        """Compute uncertainty bands of loads and summary values from ranges of the constants.
+        """Compute uncertainty bands of loads and summary values from ranges of material constants.
 
         See docs/guide/bands.md.
 
@@ -248,15 +248,16 @@ class Run(engine.Run):
         seed
             Seed of the samples; default the seed of the scene.
         workers
-            Number of processes that run samples in parallel. It has an effect only if each sample
-            needs its own run, for example with a needle. A script that uses several processes must
+            Number of processes that run samples in parallel. `workers` has an effect only if each
+            sample needs its own run, as for a needle. A script that uses several processes must
             have its statements below ``if __name__ == "__main__":``.
         scheduler
-            Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``. The workers of
-            this scheduler run the samples, instead of processes on this machine.
+            Address of a Dask scheduler, ``tcp://HOST:PORT`` or ``tls://HOST:PORT``. Its workers run
+            the samples; no processes are started on this machine.
         each_run
-            Whether to run the scene once for every sample, even if the loads of all samples can be
-            computed from the loads of one run. Only then do temperature and stress have bands too.
+            True to run the scene once for every sample. Otherwise the loads of all samples are
+            computed from the loads of one run where this is possible. Temperature and stress have
+            bands only if each sample is run.
         compute, cores, progress
             As for `tissue.simulate`.
         pictures
@@ -267,8 +268,9 @@ class Run(engine.Run):
         Raises
         ------
         InputError
-            If there is no band to read, no constant has a range, the number of samples is not from
-            16 to 65536, more than a tenth of the samples fail, or the run was stopped early.
+            If there is no band to read, if no constant has a range, or if the number of samples is
+            not from 16 to 65536. It is also raised if more than a tenth of the samples fail, or if
+            the run was stopped early.
         """
         if samples is None:
             if self._band is None:
@@ -455,8 +457,8 @@ def report(
 ) -> Path:
     """Write a report on a run as one HTML file that needs no network.
 
-    The report shows the summary values and the forces of the run, and the bone or organ in 3D over
-    time.
+    The report shows the summary values and the forces of the run, and a 3D view of the bone or
+    organ over time.
 
     Parameters
     ----------
@@ -465,11 +467,12 @@ def report(
     out
         HTML file to write; default ``report.html`` in the run's folder.
     against
-        Reference run, or its folder. If it is given, the report also contains the comparison by
-        `tissue.assess` with this reference run.
+        Reference run, or its folder. If it is given, the report also contains the assessment of the
+        run against it by `tissue.assess`.
     force_limit_N, deviation_limit_mm, overshoot_limit_mm
-        With `against`: limits of force [N], distance from the path [mm] and depth [mm]. Meaning and
-        defaults are those of `tissue.assess`.
+        With `against`: limits of the force [N], of the distance from the reference path [mm], and
+        of the depth below the deepest reference point [mm]. Meaning and defaults are those of
+        `tissue.assess`.
     overwrite
         Whether to replace an existing file.
     progress
@@ -482,9 +485,9 @@ def report(
     Raises
     ------
     InputError
-        If `out` is not given and the run was not saved, the folder holds no run or damaged files,
-        the output file exists, or anatomy, tool or material of the reference run differ from those
-        of the run.
+        If `out` is missing for an unsaved run, if the folder holds no run or damaged files, or if
+        the output file exists. It is also raised if anatomy, tool or material of the reference run
+        differ from those of the run.
     """
     from tissue.evaluation.assessment_files import assessed_section
     from tissue.show.report.report import NAME, write_report

@@ -63,14 +63,13 @@ def simulate(
     max_memory_GB
         Memory that an input file of the scene may take [GB]; default half of the free memory.
     device
-        Device object to use instead of the device that the scene names; the limits of the scene's
-        device apply to it. By default, the device of the scene is simulated, unless a real device
-        was registered under its name. The device gives positions of the tool's tip in the frame of
-        the scene [m]; ``coupling.motion_scale`` multiplies their distances from the start of the
-        path. The run is as fast as possible. If the device has the attribute ``real_time = True``,
-        the run follows the wall clock. A read that takes longer than 2.5 ms on the wall clock gives
-        no sample, unless the device has ``in_process = True``. See
-        `tissue.simulation.simulate.simulate`.
+        Device object that replaces the device named in the scene. The limits of the named device
+        still apply. By default, the device of the scene is simulated, unless a real device was
+        registered under its name. The device gives tip positions in the frame of the scene [m];
+        their distance from the start of the path is multiplied by ``coupling.motion_scale``. The
+        run is as fast as possible. If the device has the attribute ``real_time = True``, the run
+        follows the wall clock. A read that takes longer than 2.5 ms of wall-clock time is not used,
+        unless the device has ``in_process = True``. See `tissue.simulation.simulate.simulate`.
     on_tick
         Function that is called after every tick of 1 ms with the number of the tick and its row of
         the trace, a mapping from column to value. The run ends if the function returns False. The
@@ -80,9 +79,10 @@ def simulate(
     Raises
     ------
     InputError
-        If a key has no effect in the scene, the scene cannot be built, the tool never touches the
-        tissue, the coupling of a device is unstable, or `out` holds another run and `overwrite` is
-        not set. If the device fails, the error is a `DeviceError`.
+        If a key has no effect in the scene, if the scene cannot be built, or if the tool never
+        touches the tissue. It is also raised if the coupling of a device is unstable, or if `out`
+        holds another run and `overwrite` is not set. If the device fails, the error is a
+        `DeviceError`.
     """
     observers = [OnTick(on_tick) if callable(on_tick) else on_tick] if on_tick else []
     with memory_limit(max_memory_GB), reporting(progress) as report:

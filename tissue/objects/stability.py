@@ -29,7 +29,7 @@ __all__ = [
 def wall_loop(
     device: str | DeviceParameters, stiffness_N_m: float, *, hand: str | None = None
 ) -> WallLoop:
-    """Return the control loop of a haptic device that a hand holds against a virtual wall.
+    """Return the control loop of a haptic device, held by a hand, at a virtual wall.
 
     To change its fields, such as the tick and the delay, use ``dataclasses.replace``.
 
@@ -55,7 +55,7 @@ def wall_loop(
 
 @suggests_arguments
 def growth(loop: WallLoop, *, seconds: float = 4.0) -> float:
-    """Compute the growth factor of a perturbation between 45 and 85 % of the simulated duration.
+    """Compute the factor by which a perturbation grows from 45 % to 85 % of the simulated duration.
 
     If the factor is above 1, the perturbation grows; if it is below 1, the perturbation decays.
 
@@ -77,7 +77,7 @@ class Knock(WallRun):
     Attributes
     ----------
     given_J
-        Total work of the motors on the moving mass of the device [J]. It is negative if the motors
+        Total work that the motors did on the device's moving mass [J]. It is negative if the motors
         absorbed energy.
     """
 
@@ -88,7 +88,7 @@ class Knock(WallRun):
 def knock(
     device: str | DeviceParameters, stiffness_N_m: float, *, hand: str = "expert", renderer: str
 ) -> Knock:
-    """Simulate a hand that presses a device against a virtual wall, and disturb it with a force.
+    """Simulate a hand that presses a device against a wall, and disturb the device with a force.
 
     The target position of the hand is 5 mm inside the wall. After 0.8 s, a force of 2 N pulls the
     device outward for 20 ms. The hand has neither noise nor tremor. Sustained motion after the pull

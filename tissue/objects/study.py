@@ -81,7 +81,7 @@ def run(
 
 @suggests_arguments
 def trial(plan: Plan, name: str) -> Trial:
-    """Run one trial of a plan; the result is bit-identical to the result in the study.
+    """Run one trial of a plan, with a result bit-identical to that in the whole study.
 
     Parameters
     ----------

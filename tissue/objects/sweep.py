@@ -49,7 +49,7 @@ FIRST_FIGURES = ("peak_force_N", "mean_force_N", "removed_mm3", "tick_median_us"
 OF_MACHINE = ("tick_median_us", "tick_99_percent_us", "missed_deadlines")
 NO_RESULTS = (*OF_MACHINE, "simulated_s", "left_region_s")
 """Summary values that do not describe the tool's loads; `Sweep.plot` does not draw them."""
-SAME = 1e-9
+RELATIVE_ROUNDING = 1e-9
 """Largest relative difference between summary values that is attributed to rounding."""
 
 
@@ -66,10 +66,10 @@ class SweptRun:
     path
         Folder of the run.
     problem
-        Message of the error that ended the run or makes its scene invalid; empty for a finished
+        Error message if the run ended with an error or its scene is invalid; empty for a finished
         run.
     scene
-        Scene of the run; None if the values make no valid scene.
+        Scene of the run; None if the scene is invalid with these values.
     """
 
     name: str
@@ -102,7 +102,7 @@ class SweptRun:
 
 
 class Sweep:
-    """Results of a scene with all combinations of given values.
+    """Results of running a scene with every combination of the given values.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class Sweep:
 
     @property
     def notes(self) -> dict[str, str]:
-        """Reasons why tools did not reach the ends of their paths, keyed by the name of the run."""
+        """Reason why the tool of a run did not reach the end of its path, keyed by run name."""
         return {each.name: f"the path is {each.note}" for each in self.runs if each.note}
 
     @property
@@ -169,9 +169,9 @@ class Sweep:
         return Comparison({each.name: each.open() for each in self.finished})
 
     def plot(self, figures: list[str] | None = None) -> NDArray[np.object_]:
-        """Plot summary values over the first swept key, with a line for each value of the second.
+        """Plot summary values over the first swept key, with one line per value of the second key.
 
-        Wide bars show 90 % intervals, if the runs have uncertainty bands.
+        If the runs have uncertainty bands, bars show the 90 % intervals.
 
         Parameters
         ----------
@@ -216,7 +216,9 @@ class Sweep:
         differing = []
         for name in self.figure_names:
             values = [each.figures.get(name, np.nan) for each in self.finished]
-            if name not in NO_RESULTS and not np.allclose(values, values[0], rtol=SAME, atol=0.0):
+            if name not in NO_RESULTS and not np.allclose(
+                values, values[0], rtol=RELATIVE_ROUNDING, atol=0.0
+            ):
                 differing.append(name)
         return differing
 
@@ -268,8 +270,8 @@ def sweep(
     """Run a scene with all combinations of given values, each run in its own folder.
 
     Finished runs in the folder are kept. The same call therefore continues a sweep that was
-    stopped. A call with additional values runs only the new combinations. A combination that cannot
-    be run is listed in `Sweep.failures`, and the other runs continue.
+    stopped. If a later call has additional values, only the new combinations are run. A combination
+    that cannot be run is listed in `Sweep.failures`, and the other runs continue.
 
     Parameters
     ----------
@@ -285,14 +287,15 @@ def sweep(
         Number of parallel processes. With several processes, each process uses one core unless
         `cores` is given, and ticks take longer. A script that uses several processes must have its
         statements below ``if __name__ == "__main__":``. Materials, tools and other parts that the
-        script registers above that line are available in the processes.
+        script registers above the line ``if __name__ == "__main__":`` are available in the
+        processes.
     compute, cores, allow_unstable
         As for `tissue.simulate`.
     pictures
-        Whether each run draws its pictures, in the first picture format of `formats`.
+        Whether to draw pictures of each run. Their format is the first picture format in `formats`.
     formats
-        Formats of the pictures: png, svg or pdf; default png. Formats of ``traces.FORMAT``, one
-        table with the traces of all runs: parquet, npz, mat or h5.
+        Formats of the pictures: png, svg or pdf; default png. Formats of the table
+        ``traces.FORMAT``, which holds the traces of all runs: parquet, npz, mat or h5.
     band
         Number of samples of the material constants, as for `Run.band`. If it is given, each run has
         an uncertainty band, and ``compare.png`` shows the bands. Finished runs without a band are
@@ -305,9 +308,9 @@ def sweep(
     Raises
     ------
     InputError
-        If a value makes an invalid scene in every combination, or a file is missing. If the folder
-        holds runs of another scene under the same names. If a format or the number of samples is
-        invalid.
+        If the scene is invalid in all combinations that contain a certain value, or if a file is
+        missing. It is also raised if the folder holds runs of another scene under the names of this
+        sweep's runs, or if a format or the number of samples is invalid.
     """
     out = Path(out)
     formats = tuple(formats)
@@ -343,13 +346,13 @@ def sweep(
 def planned(
     scene: Scene | str | Path, changes: Mapping[str, Iterable[object]], out: Path
 ) -> list[SweptRun]:
-    """Return the runs of a sweep before they are run; the value of the last key varies fastest.
+    """Return the planned runs of a sweep; the value of the last key varies fastest.
 
     Raises
     ------
     InputError
-        If a key has no values, there are more than `MOST_RUNS` combinations, or a value makes no
-        valid scene in any combination.
+        If a key has no values, if there are more than `MOST_RUNS` combinations, or if all
+        combinations with a certain value are invalid.
     """
     listed = {key: _listed(key, values) for key, values in changes.items()}
     count = prod(len(values) for values in listed.values())

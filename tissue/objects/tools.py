@@ -64,7 +64,7 @@ def ball(*, diameter_mm: float) -> PressingTool:
 def flat_punch(*, diameter_mm: float) -> PressingTool:
     """Return a rigid cylinder with a flat end and a rounded edge.
 
-    The edge radius is a tenth of the cylinder's radius, at most 0.5 mm.
+    The edge radius is a tenth of the cylinder's radius, but not more than 0.5 mm.
 
     >>> import tissue
     >>> tissue.flat_punch(diameter_mm=8)

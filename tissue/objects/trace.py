@@ -35,8 +35,8 @@ class Trace(dict[str, NDArray[Any]], Table):
     columns
         Names of the columns.
     rows
-        Values, shape (ticks, columns). The column ``layer`` contains indices into ``layer_names``,
-        and -1 for no layer.
+        Values, shape (ticks, columns). Here the column ``layer`` contains indices into
+        ``layer_names``, or -1 for no layer.
     layer_names
         Names of the layers.
     """
@@ -65,7 +65,7 @@ class Trace(dict[str, NDArray[Any]], Table):
         return pandas.DataFrame(columns).rename_axis(index="tick")
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Return an xarray data set with a variable for each column, over the dimension ``time_s``.
+        """Return an xarray data set with one variable per column, along the dimension ``time_s``.
 
         Each variable has its unit as the attribute ``units``.
 

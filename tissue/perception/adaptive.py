@@ -77,15 +77,15 @@ corresponds to a scatter of about 0.3.
 
 @dataclass(frozen=True, kw_only=True)
 class ThresholdPrior:
-    """Prior of Weber fraction, low-force term and lapse rate on a grid.
+    """Joint prior of Weber fraction, low-force term and lapse rate on a grid.
 
     The Weber fraction has a log-normal prior between two bounds. The low-force term has a
     log-normal prior between 0.05 and 0.8 N, with a median of 0.2 N and a geometric standard
     deviation of 1.65. The lapse rate (share of accidental wrong answers) has the prior Beta(0.5,
-    5), truncated at 0.2. Schuett et al. (2016) use Beta(1, 10), which has the same mean and twice
-    the weight. Grid cells of the Weber fraction have equal width in the logarithm. Grid cells of
-    the lapse rate are narrow at small rates. Otherwise the thresholds of observers with few lapses
-    would be estimated 12 % too low.
+    5), limited to at most 0.2. Schuett et al. (2016) use Beta(1, 10), which has the same mean but
+    counts as twice as many observations. Grid cells of the Weber fraction have equal width in the
+    logarithm. Grid cells of the lapse rate are narrow at small rates. With wide cells at small
+    rates, the thresholds of observers with few lapses would be estimated 12 % too low.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class ThresholdPrior:
     lowest, highest
         Lower and upper bound of the Weber fraction.
     cells, offset_cells, lapse_cells
-        Numbers of grid cells for Weber fraction, low-force term and lapse rate.
+        Numbers of grid cells of the Weber fraction, the low-force term and the lapse rate.
     """
 
     weber: float = 0.09
@@ -161,10 +161,10 @@ class ThresholdPrior:
 def comparisons(
     bases_N: tuple[float, ...] = BASES_N, *, force_limit_N: float = 3.3
 ) -> tuple[Array, Array]:
-    """Return the pairs of forces that may be compared: base forces and steps [N], shape (n,) each.
+    """Return base forces and steps [N] of pairs that may be compared, shape (n,) each.
 
-    The forces of a pair are base force and base force plus step. At each base force, successive
-    steps have equal ratios.
+    The two forces of a pair are the base force, and the base force plus the step. At each base
+    force, successive steps have equal ratios.
 
     Parameters
     ----------
@@ -183,25 +183,24 @@ def comparisons(
 class AdaptiveThreshold:
     """Adaptive estimation of force thresholds, from comparisons of two forces.
 
-    `propose` chooses the comparison for which the posterior after the answer has the smallest
-    expected entropy. This rule is from QUEST+ (Watson, 2017). It is equivalent to the largest
-    mutual information between the answer and the parameters. Likelihoods and entropies of all
-    comparisons at all grid points are computed in advance, so a trial takes two matrix-vector
-    products.
+    `propose` chooses the comparison that minimises the expected entropy of the posterior after the
+    answer. This rule is from QUEST+ (Watson, 2017). It is equivalent to maximising the mutual
+    information between answer and parameters. The likelihoods and entropies of all comparisons are
+    computed in advance, so each trial needs only two matrix-vector products.
 
     Parameters
     ----------
     prior
         Prior before the first trial.
     stimuli
-        Base forces and steps of the pairs that may be compared [N]; default `comparisons()`.
+        Base forces [N] and steps [N] of the pairs that may be compared; default `comparisons()`.
     observers
         Number of observers that answer in parallel. Each observer has a separate posterior.
 
     Attributes
     ----------
     base_N, step_N
-        Base forces and steps of the pairs that may be compared [N], each of shape (n,).
+        Base forces and steps [N] of the pairs that may be compared, each of shape (n,).
     posterior
         Probability masses of the grid points, shape (points, observers).
     """
@@ -264,10 +263,10 @@ class AdaptiveThreshold:
         return np.exp(mean), np.sqrt(np.maximum(logs**2 @ self.posterior - mean**2, 0.0))
 
     def weber_quantiles(self, shares: Array) -> Array:
-        """Return quantiles of the Weber fraction, shape (n, observers), at n probabilities.
+        """Return quantiles of the Weber fraction at the probabilities `shares`.
 
-        `shares` contains the probabilities. Within a grid cell, the quantiles are interpolated
-        linearly in the logarithm.
+        The result has shape (n, observers) for n probabilities. Within a grid cell, the logarithm
+        of the Weber fraction is interpolated linearly.
         """
         edges = np.log(self.prior.weber_edges)
         below = np.vstack(
@@ -278,8 +277,8 @@ class AdaptiveThreshold:
     def edge_mass(self) -> tuple[Array, Array]:
         """Return the posterior mass near the lower and near the upper bound of the Weber fraction.
 
-        Each of the two arrays has shape (observers,), and contains the mass in the two grid cells
-        next to the bound.
+        Each of the two arrays has shape (observers,). It contains the mass in the two grid cells
+        next to a bound.
         """
         # Two of the default cells cover 12 % of the Weber fraction.
         masses = self.weber_masses()
@@ -288,7 +287,7 @@ class AdaptiveThreshold:
 
 @dataclass(frozen=True)
 class MagnitudePosterior:
-    """Posterior of Stevens' law ln S = ln alpha + beta ln F + sigma e for reported numbers.
+    """Posterior of Stevens' law ln S = ln alpha + beta ln F + sigma e, given reported numbers.
 
     S is the reported number, F the force [N], and e a random number with a standard normal
     distribution. The posterior is a normal-inverse-gamma distribution. Source: Gelman et al., 2013,
@@ -332,8 +331,8 @@ def fit_magnitudes(forces_N: ArrayLike, numbers: ArrayLike) -> MagnitudePosterio
 
     For empty arrays, the result is the prior.
 
-    The factor alpha depends on the scale of numbers that the observer has chosen. It therefore does
-    not measure the perceived intensity alone.
+    The factor alpha depends on the number scale that the observer has chosen. It is therefore not a
+    measure of the perceived intensity alone.
 
     Parameters
     ----------

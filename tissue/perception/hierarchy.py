@@ -62,8 +62,8 @@ class PopulationTrials:
     observers
         Number of observers.
     compared
-        For each comparison: index of the observer, smaller force [N], difference to the larger
-        force [N], and 1 for a right answer, otherwise 0; shape (comparisons, 4).
+        Row for each comparison: index of the observer, smaller force [N], step to the larger force
+        [N], and 1 (right) or 0 (wrong); shape (comparisons, 4).
     rated
         For each reported number: index of the observer, force [N], and number; shape (numbers, 3).
     """
@@ -75,8 +75,8 @@ class PopulationTrials:
     def counts(self) -> tuple[Index, Array, Array, Index, Index]:
         """Count trials and right answers for each observer and each distinct comparison.
 
-        The result is five arrays with one entry for each combination of observer, base force and
-        step: observer, base force [N], step [N], number of trials, and number of right answers.
+        The result is five arrays: observer, base force [N], step [N], number of trials, number of
+        right answers. Each combination that occurs has one entry.
         """
         unique, which = np.unique(self.compared[:, :3], axis=0, return_inverse=True)
         asked = np.bincount(which.ravel())
@@ -95,8 +95,8 @@ class PopulationFit:
         shape (chains, draws). Parameters of observers (alpha, beta, kappa, offset_N, lapse, sigma)
         have the shape (chains, draws, observers).
     r_hat, ess
-        Split R-hat and effective sample size, keyed by the names in `HYPER`. The key ``people`` has
-        the worst value among all parameters of observers.
+        R-hat (split chains) and effective sample size, keyed by the names in `HYPER`. The value for
+        the key ``people`` is the worst among all parameters of observers.
     divergences
         Number of divergent transitions of the sampler.
     """
@@ -126,9 +126,9 @@ class PopulationFit:
         return found
 
     def interval(self, name: str) -> tuple[float, float, float]:
-        """Return the ends of the central 95 % interval of a population parameter, and its median.
+        """Return the lower end, median and upper end of a parameter's central 95 % interval.
 
-        The order is lower end, median, upper end.
+        The parameter belongs to the population, see `HYPER`.
         """
         low, middle, high = np.quantile(self.draws[name], [0.025, 0.5, 0.975]).tolist()
         return low, middle, high
@@ -142,17 +142,17 @@ def fit_hierarchy(
     draws: int = 600,
     progress: bool = False,
 ) -> PopulationFit:
-    """Sample the posterior of the parameters of the population and of each observer.
+    """Draw samples from the joint posterior of the population's and each observer's parameters.
 
     The sampler is NUTS, the No-U-Turn sampler of Hoffman and Gelman (2014), in NumPyro.
 
-    The parameters ln alpha, beta, ln kappa and ln offset of an observer have normal distributions
-    over the population. The variance sigma squared has an inverse-gamma distribution, and lapse
-    rates have the distribution Beta(1, 10). Means over observers have wide priors around published
-    values, and standard deviations over observers have half-normal priors. The trials of one
-    observer contain little information about ln kappa and ln offset, which are therefore
-    parametrised as deviations from the mean (non-centred). They contain enough information about ln
-    alpha and beta, which are parametrised directly (centred).
+    The parameters ln alpha, beta, ln kappa and ln offset are normally distributed among observers.
+    The variance sigma squared has an inverse-gamma distribution, and lapse rates have the
+    distribution Beta(1, 10). The population means have wide priors around published values, and the
+    population standard deviations have half-normal priors. ln kappa and ln offset are parametrised
+    as deviations from the mean (non-centred), because one observer's trials contain little
+    information about them. ln alpha and beta are parametrised directly (centred), because the
+    trials contain enough information about them.
 
     Parameters
     ----------

@@ -20,7 +20,9 @@ D_PRIME_75 = 0.9538725524089894
 
 
 def with_lapse(share: ArrayLike, lapse: ArrayLike) -> Array:
-    """Return the share of right answers in two-interval trials: 1/2 + (1/2 - lapse) share.
+    """Return the share of right answers in two-interval trials with lapses.
+
+    The result is 1/2 + (1/2 - lapse) share.
 
     Source: Wichmann and Hill, 2001.
 
@@ -59,7 +61,7 @@ def two_interval(
     Parameters
     ----------
     base_N, step_N
-        Smaller force, and difference between larger and smaller force [N], both 0 or more.
+        Smaller force, and step from it to the larger force [N], both 0 or more.
     weber
         Weber fraction, positive.
     offset_N
@@ -75,20 +77,20 @@ def two_interval(
 
 @dataclass(frozen=True, kw_only=True)
 class Intensity:
-    """Perceived intensity of force, S = alpha (F / 1 N)^beta (1 + sigma e), with uncertainty.
+    """Perceived intensity of a force, with uncertain parameters.
 
-    The parameters alpha, beta and sigma of the person are uncertain, and e is a random number with
-    variance 1. The posterior of (ln alpha, beta) is normal. Let x = ln F, m = E[ln alpha] + E[beta]
-    x and v = Var[ln alpha + beta x], which is quadratic in x. The moments of the posterior
-    predictive distribution are::
+    The intensity is S = alpha (F / 1 N)^beta (1 + sigma e). The parameters alpha, beta and sigma of
+    a person are uncertain, and e is a random number with mean 0 and variance 1. The posterior of
+    (ln alpha, beta) is normal. Let x = ln F, m = E[ln alpha] + E[beta] x, and v = Var[ln alpha +
+    beta x], a quadratic function of x. The moments of the posterior predictive distribution are::
 
         E[S]   = exp(m + v / 2)
         Var[S] = E[S]^2 (exp(v) (1 + E[sigma^2]) - 1)
 
-    Here the scatter multiplies the intensity, whereas a fit of reported numbers has the scatter in
-    ln S. The two forms are equal to first order. Scatter in ln S is not used here, because the mean
-    of S would not exist if sigma squared has an inverse-gamma distribution. The unit of intensity
-    is the intensity that the reference observer perceives at 1 N.
+    Here the scatter multiplies the intensity, whereas in a fit of reported numbers it is added to
+    ln S. The two forms are equal to first order. Scatter in ln S is not used here: with the
+    inverse-gamma distribution of sigma squared, the mean of S would not exist. The unit of
+    intensity is the intensity that the reference observer perceives at 1 N.
 
     Attributes
     ----------
@@ -106,7 +108,7 @@ class Intensity:
     scatter: float = 0.0
 
     def expected(self, force_N: ArrayLike) -> Array:
-        """Return E[S] for force magnitudes [N] in an array of any shape; 0 for zero force."""
+        """Return E[S] for force magnitudes [N] in an array of any shape, and 0 for zero force."""
         x = _logarithm(force_N)
         with np.errstate(invalid="ignore"):
             mean = np.exp(self.log_alpha + self.beta * x + 0.5 * self._variance(x))
@@ -121,16 +123,16 @@ class Intensity:
         return np.where(np.isfinite(x), deviation, 0.0)
 
     def force_N(self, intensity: ArrayLike) -> Array:
-        """Return the forces [N] that have given expected intensities, in an array of any shape.
+        """Return the forces [N] for which S has given expected values, in arrays of any shape.
 
         Because ln E[S] is quadratic in ln F, two forces may have the same expected intensity. The
-        larger force is returned, because the intensity increases with the force there. The force is
-        0 for zero intensity.
+        larger force is returned, because only at this force the intensity increases with the force.
+        The force is 0 for zero intensity.
 
         Raises
         ------
         InputError
-            If an intensity is below the smallest expected intensity that a force can have.
+            If an intensity is below the smallest expected intensity of any force.
         """
         wanted = np.asarray(intensity, dtype=float)
         a = self.log_alpha + 0.5 * self.variances[0]
@@ -158,7 +160,7 @@ class Intensity:
 
 
 def intensity_of(observer: Observer) -> Intensity:
-    """Return Stevens' law of an observer, including the uncertainty of its parameters."""
+    """Return Stevens' law of an observer, with the uncertainty of the law's parameters."""
     (alpha, both), (_, beta) = observer.covariance[:2, :2].tolist()
     return Intensity(
         log_alpha=float(observer.mean[0]),
@@ -180,16 +182,16 @@ def _logarithm(force_N: ArrayLike) -> Array:
 class Weber:
     """Weber's law with an offset: threshold = kappa (level + offset).
 
-    The threshold is the change of a level, such as a force, for which 75 % of the answers in
-    two-interval trials are right. With the positive offset, the threshold is also positive at zero
-    level.
+    The threshold is the change of a level (such as a force) at which an observer answers 75 % of
+    two-interval trials right. Because the offset is positive, the threshold is positive even at
+    zero level.
 
     Attributes
     ----------
     kappa
         Weber fraction.
     offset
-        Offset of the level, positive, in the unit of the level: N, N m or N/m.
+        Constant that is added to the level, positive, in the unit of the level: N, N m or N/m.
     """
 
     kappa: float
@@ -208,10 +210,11 @@ class Weber:
 
 
 def weber_of(observer: Observer, *, quantile: float = 0.5) -> Weber:
-    """Return Weber's law of an observer's force threshold [N], at a quantile of the Weber fraction.
+    """Return Weber's law for an observer's force threshold [N].
 
-    The quantile refers to the observer's posterior. With 0.1, for example, the person's true
-    threshold exceeds the returned threshold with a probability of 90 %.
+    The Weber fraction of the law is the quantile of the observer's posterior at `quantile`. With
+    0.1, for example, the person's true threshold exceeds the returned threshold with a probability
+    of 90 %.
     """
     spread = float(np.sqrt(max(observer.covariance[2, 2], 0.0)))
     return Weber(
@@ -228,7 +231,7 @@ for observers whose exponent has a standard deviation of at most 0.5.
 
 
 class LogTable:
-    """Table of a positive function of force, interpolated linearly in logarithmic scales.
+    """Table of a positive function of force, with linear interpolation in log-log scale.
 
     The interpolation is exact for a power law. Below the first node the function decreases linearly
     to zero. Above the last node the function is proportional to the force.
@@ -263,24 +266,24 @@ class LogTable:
 
 
 class ForceMap:
-    """Map from a force to the force that a device must play for an observer.
+    """Map from a simulated force to the force that a device must play for an observer.
 
-    The played force is called the command. The observer perceives the command with the same
-    expected intensity with which the reference observer perceives ``gain`` times the force.
+    The played force is called the command. The observer perceives the command as strongly as the
+    reference observer perceives ``gain`` times the force.
 
     The common factor ``gain`` fits the commands into the range of the device. Under Stevens' law, a
     common factor does not change ratios of intensities. ``gain`` is 1 if the command for the force
-    ``knee_N`` is then at most ``knee_N``. Otherwise it is below 1, and chosen so that the command
-    for the force ``knee_N`` is ``knee_N``. For two forces F1 and F2 up to ``knee_N``::
+    ``knee_N`` does not exceed ``knee_N`` with this value. Otherwise ``gain`` is below 1, such that
+    the command for ``knee_N`` is ``knee_N``. For two forces F1 and F2 up to ``knee_N``::
 
         E[S | command(F1)] / E[S | command(F2)] = (F1 / F2)^beta of the reference
 
-    Above ``knee_N``, `tissue.haptics.loop.filters.ForceRange` compresses the force and reports
-    this.
+    Above ``knee_N``, `tissue.haptics.loop.filters.ForceRange` compresses the force and reports the
+    compression.
 
-    Below ``lowest_N``, where the laws have not been measured, the map is a straight line to zero.
-    The line also bounds the slope of the map, so that the stiffness at the start of a contact is
-    finite.
+    Below ``lowest_N``, where the intensity laws were not measured, the map is a straight line to
+    zero. The line also bounds the slope of the map, so that the stiffness at the start of a contact
+    is finite.
 
     Parameters
     ----------
@@ -289,7 +292,7 @@ class ForceMap:
     lowest_N
         Positive force below which the map is a straight line [N].
     knee_N
-        Force, above `lowest_N`, up to which the device plays commands uncompressed [N].
+        Largest command that the device plays uncompressed [N]; larger than `lowest_N`.
 
     Attributes
     ----------
@@ -301,13 +304,13 @@ class ForceMap:
         Tables of the mean and the standard deviation of the perceived intensity, as functions of
         the command.
     steepest
-        Largest slope of the map, which is the largest factor by which it increases the stiffness of
-        a contact.
+        Largest slope of the map. It is the largest factor by which the map increases the stiffness
+        of a contact.
 
     Raises
     ------
     InputError
-        If the observer's posterior is so wide that the map does not increase with the force.
+        If the map does not increase with the force, because the observer's posterior is too wide.
     """
 
     def __init__(
@@ -341,7 +344,7 @@ class ForceMap:
         self.spread = LogTable(felt, np.maximum(observer.spread(felt), 1e-12))
 
     def command_N(self, force_N: ArrayLike) -> Array:
-        """Return the commands [N] for force magnitudes [N], without interpolation.
+        """Return the exact commands [N] for force magnitudes [N], without using the table.
 
         Arrays of any shape are accepted.
         """

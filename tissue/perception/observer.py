@@ -65,8 +65,8 @@ class Observer:
     mean
         Mean of the coordinates, shape (6,), in the order of `PARAMETERS`.
     covariance
-        Covariance of the coordinates, shape (6, 6), positive semidefinite; zeros if the parameters
-        are known exactly.
+        Covariance of the coordinates, shape (6, 6), positive semidefinite. It is zero if the
+        parameters are known exactly.
     trials
         Number of trials from which the posterior was estimated; 0 for a prior.
 
@@ -129,8 +129,8 @@ class Observer:
     ) -> "Observer":
         """Return an observer with given medians and standard deviations of the parameters.
 
-        `medians` must contain all `PARAMETERS`. `spread` contains standard deviations of
-        coordinates, keyed by parameter; coordinates are uncorrelated.
+        `medians` must contain all `PARAMETERS`. `spread` contains standard deviations of the
+        coordinates, keyed by parameter. Correlations are zero.
         """
         mean = np.array([TO_COORDINATE[parameter](medians[parameter]) for parameter in PARAMETERS])
         spreads = [(spread or {}).get(parameter, 0.0) for parameter in PARAMETERS]
@@ -177,7 +177,7 @@ class Observer:
         # in the order of PARAMETERS
         return exp(self.mean[5])
 
-    def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
+    def draw(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
         """Return joint draws of all parameters, each of shape (count,), keyed by parameter."""
         values, vectors = np.linalg.eigh(self.covariance)
         # A matrix square root is used instead of Cholesky's factor, because the covariance may be
@@ -190,8 +190,8 @@ class Observer:
 def write_observer(observer: Observer, path: Path, *, overwrite: bool = False) -> None:
     """Write an observer to a JSON file.
 
-    The file contains the posterior. For human readers, it also contains medians as numbers with
-    units.
+    The file contains the posterior. For human readers, the file also contains the parameters'
+    medians as numbers with units.
 
     Raises
     ------
@@ -220,7 +220,7 @@ def read_observer(path: Path) -> Observer:
     ------
     InputError
         If the file is missing, does not contain an observer, has an unknown version, or contains
-        impossible numbers. It is also raised if the medians in the file contradict its posterior.
+        impossible numbers. It is also raised if the file's medians contradict the file's posterior.
     """
     calibrate = "write one with tissue calibrate --out"
     require_regular(path)
@@ -297,21 +297,21 @@ def _from(parameter: str, coordinate: Array | np.float64) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class Population:
-    """Distribution over people of the parameters of force perception.
+    """Distribution of the parameters of force perception among people.
 
     The factor alpha, the Weber fraction and the low-force term have log-normal distributions. The
     mean of alpha is 1, because the unit of intensity is the average intensity at 1 N. The exponent
-    beta has a normal distribution, sigma squared an inverse-gamma distribution, and the lapse rate
-    a logit-normal distribution.
+    beta has a normal distribution. Sigma squared has an inverse-gamma distribution, and the lapse
+    rate has a logit-normal distribution.
 
     Attributes
     ----------
     beta, kappa, offset_N, lapse
         Medians of Stevens' exponent, Weber fraction, low-force term [N] and lapse rate.
     sigma
-        Relative scatter of reported intensities, as the square root of the mean of sigma squared.
+        Relative scatter of reported intensities: square root of the mean of sigma squared.
     alpha_log_spread, beta_spread, kappa_log_spread, offset_log_spread, lapse_logit_spread
-        Standard deviations over people, in the coordinates of `Observer`.
+        Standard deviations of the coordinates of `Observer` among people.
     sigma_shape
         Shape of the inverse-gamma distribution of sigma squared, above 2.
     """
@@ -328,7 +328,7 @@ class Population:
     lapse_logit_spread: float
     sigma_shape: float
 
-    def draws(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
+    def draw(self, count: int, rng: np.random.Generator) -> dict[str, Array]:
         """Return the parameters of `count` random people, keyed by parameter.
 
         Each array has shape (count,).
@@ -353,7 +353,7 @@ def population() -> Population:
 
 
 def population_observer() -> Observer:
-    """Return the observer for a person without a calibration: the distribution over people.
+    """Return the observer that represents a person without a calibration.
 
     The observer has the same distribution as `population`, except that ln sigma has a normal
     distribution with the same mean and the same variance.
@@ -382,8 +382,8 @@ def population_observer() -> Observer:
 def reference_observer() -> Observer:
     """Return the reference observer, with the medians of the population and alpha = 1.
 
-    Its parameters are known exactly. Forces are scaled so that other observers perceive the
-    intensities that the reference observer would perceive.
+    Its parameters are known exactly. `ForceMap` scales forces so that other observers perceive what
+    the reference observer would perceive.
     """
     people = population()
     given = {name: getattr(people, name) for name in PARAMETERS if name != "alpha"}

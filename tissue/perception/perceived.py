@@ -11,10 +11,11 @@ from tissue.perception.laws import D_PRIME_75, ForceMap, Weber
 
 
 class Perception(Protocol):
-    """Interface of perception models, which compute the force to play on a device for a person.
+    """Interface of perception models.
 
-    The direction of the force is not changed. `step` is called once in each tick and takes
-    microseconds.
+    A perception model computes the force that a device must play so that a person perceives the
+    wanted force. It does not change the direction of the force. `step` is called once in each tick
+    and takes microseconds.
     """
 
     estimated_N: float
@@ -26,16 +27,16 @@ class Perception(Protocol):
     steepest: float
     """Largest slope of the played force over the given force, for the stability check."""
     sentence: str
-    """Sentence about the observer and the scaling, reported before a run."""
+    """Sentence on the observer and the scaling that is reported before a run."""
     above: bool
     """True if the last change of the force was above the person's threshold and was played."""
 
     def step(self, force_N: Array) -> Array:
-        """Return the force to play [N], shape (3,), for a force at the device [N], shape (3,)."""
+        """Return the force to play [N], shape (3,), instead of the simulated force `force_N`."""
         ...
 
     def pause(self) -> None:
-        """Reset after a missing sample: play the next force even if its change is small."""
+        """Reset after a missing sample, and play the next force even if its change is small."""
         ...
 
 
@@ -82,23 +83,23 @@ numbers takes 70 us in one tick.
 
 
 class Deadband:
-    """Deadband: the played vector changes only if the wanted vector differs by a threshold.
+    """Deadband that holds a vector until the wanted vector differs by more than a threshold.
 
     The vectors are forces, for example. If the distance between played and wanted vector exceeds
     the threshold, the wanted vector is played. The threshold depends on the magnitude of the played
     vector.
 
-    The distance includes changes of direction and of magnitude. Errors do not accumulate: in every
-    tick, the distance between played and wanted vector is below the threshold. Noise within the
-    threshold is not played.
+    The distance includes changes of direction and of magnitude. The error does not accumulate:
+    after every tick, the played vector is within the threshold of the wanted vector. Noise smaller
+    than the threshold does not change the played vector.
 
-    A wanted vector shorter than half of the threshold at zero magnitude is played as zero, so that
-    there is no force in free space.
+    A wanted vector that is shorter than half the threshold at zero magnitude is played as zero, so
+    that no force acts in free space.
 
     While the played force stays constant and the wanted force decreases, the device receives
-    energy. In a cycle, this is the energy that a Coulomb friction of half the threshold would
-    dissipate. The friction of the device, if it is larger, or the damping of a hand dissipates this
-    energy.
+    energy. In one cycle of pressing and releasing, this energy equals the loss by a Coulomb
+    friction of half the threshold. This energy is dissipated by the friction of the device if this
+    friction exceeds half the threshold, otherwise by the damping of a hand.
 
     Parameters
     ----------
@@ -147,7 +148,7 @@ class Deadband:
         return True
 
     def forget(self) -> None:
-        """Play the next vector as a change, even if its distance is below the threshold."""
+        """Play the next vector, and count it as a change, even if it is within the threshold."""
         self._fresh = True
 
 
@@ -156,10 +157,10 @@ class Sense:
 
     The person observes the force once in each tick. The filter has the constant gain G = 1 - exp(-T
     / tau), where T is the duration of a tick, and tau is the time over which a person averages
-    force. The estimate of a constant force has the standard deviation s. With this s, a change of
-    the force by one threshold has the sensitivity d' = 0.954. An observation therefore has the
-    variance r = s^2 (2 - G) / G. The filter is the Kalman filter for a random walk of the force
-    with the variance q = G^2 r / (1 - G) per tick.
+    force. The estimate of a constant force has the standard deviation s. The value of s is such
+    that a change of the force by one threshold has the sensitivity d' = 0.954. For this s, an
+    observation must have the variance r = s^2 (2 - G) / G. The filter is the Kalman filter for a
+    random walk of the force with the variance q = G^2 r / (1 - G) per tick.
 
     Attributes
     ----------
@@ -191,24 +192,25 @@ class Sense:
 
 
 class PerceivedForce:
-    """Perception model for one observer: force map, deadband, and simulated estimate of the force.
+    """Perception model for one observer: force map, deadband, and model of the person's estimate.
 
     Parameters
     ----------
     law
-        Map from a force to the force to play (command), with the perceived intensity of a command.
+        Map from a force to the command (the force to play). It also holds the perceived intensity
+        of a command.
     deadband
         Deadband that keeps the command constant until the person can feel a change.
     sense
         Model of the person's estimate of the command.
     sentence
-        Sentence about the observer and the scaling, reported before a run.
+        Sentence on the observer and the scaling that is reported before a run.
 
     Attributes
     ----------
     steepest
-        Largest slope of the command over the force. The stability check multiplies the stiffness of
-        a virtual wall by this slope.
+        Largest derivative of the command with respect to the force. The stability check multiplies
+        the stiffness of a virtual wall by this slope.
     """
 
     def __init__(self, law: ForceMap, deadband: Deadband, sense: Sense, *, sentence: str) -> None:
@@ -247,6 +249,6 @@ class PerceivedForce:
         return deadband.held
 
     def pause(self) -> None:
-        """Reset after a missing sample: play the next force even if its change is small."""
+        """Reset after a missing sample, and play the next force even if its change is small."""
         self.deadband.forget()
         self.above = False

@@ -67,16 +67,17 @@ A haptic loop uses two horizons: its own horizon and one tick.
 
 @dataclass(frozen=True)
 class Moments:
-    """Second moments of coordinates and targets, from which a linear map is fitted.
+    """Second moments of delay coordinates and targets, to which a linear map is fitted.
 
     Attributes
     ----------
     coordinates
         Mean of z zᵀ over all axes and ticks [m2], shape (COORDINATES, COORDINATES). The vector z
-        contains the coordinates of one axis in one tick.
+        contains the coordinates of one spatial axis at one tick.
     targets
-        Mean of z yᵀ [m2], shape (COORDINATES, 2 HORIZON). The targets y are the displacements after
-        1 to `HORIZON` ticks, followed by the changes of the stretch after the same ticks.
+        Mean of z yᵀ [m2], shape (COORDINATES, 2 HORIZON). The targets y are the device
+        displacements after 1 to `HORIZON` ticks, followed by the changes of the coupling's stretch
+        after the same ticks.
     """
 
     coordinates: Array
@@ -84,7 +85,7 @@ class Moments:
 
     @classmethod
     def pooled(cls, parts: Iterable["Moments"]) -> "Moments":
-        """Return the mean of several moments, which are first scaled to the same power.
+        """Return the mean of several moments that are first scaled to the same `power_m2`.
 
         The common power is the geometric mean of the values of `power_m2`.
         """
@@ -99,7 +100,7 @@ class Moments:
 
     @property
     def power_m2(self) -> float:
-        """Mean square of the displacement between successive delays, summed over all delays."""
+        """Mean square displacement between each delay and the next, summed over all delays."""
         return float(np.diag(self.coordinates)[: len(DELAYS) - 1].sum())
 
     def check(self) -> None:
@@ -161,18 +162,20 @@ PATH_COORDINATES = _path_coordinates()
 class DelayOperator:
     """Linear operator, fitted to recorded runs, that predicts displacement and stretch.
 
-    The displacement is the motion of the device, and the stretch is the vector between device and
-    tool. All axes use the same operator, without an offset. The prediction is therefore invariant
-    to translation and rotation, and does not depend on the scale of the forces.
+    The displacement is the motion of the device after the present tick. The stretch is the vector
+    from the device to the tool. All axes use the same operator, without an offset. The prediction
+    is therefore invariant to translation and rotation, and does not depend on the scale of the
+    forces.
 
     Attributes
     ----------
     moments
         Moments of the training data.
     growth
-        Limit of the training range. For a motion, each coordinate is divided by its RMS in the
-        training data. The squares are averaged over the coordinates and summed over the axes. The
-        motion is within the training range if the result does not exceed the limit.
+        Limit of the sum that decides whether a motion is within the training range. To check a
+        motion, each coordinate is divided by its RMS in the training data. The squares of these
+        ratios are averaged over the coordinates and summed over the axes. The motion is within the
+        training range if this sum does not exceed `growth`.
     """
 
     moments: Moments
@@ -180,7 +183,7 @@ class DelayOperator:
 
 
 def coordinates(position_m: Array, stretch_m: Array) -> Array:
-    """Return the coordinates, shape (COORDINATES, ...), from the values at `DELAYS`.
+    """Compute coordinates, shape (COORDINATES, ...), from positions and stretches at `DELAYS`.
 
     Positions and stretches have shape (delays, ...), with the newest value first.
     """
@@ -188,7 +191,7 @@ def coordinates(position_m: Array, stretch_m: Array) -> Array:
 
 
 class DelayPath:
-    """Predictor of the displacement of a device and the stretch of its coupling.
+    """Predictor of a device's displacement and of the stretch of the coupling to its tool.
 
     Parameters
     ----------
@@ -220,10 +223,10 @@ class DelayPath:
     def observe(self, position_m: Array, stretch_m: Array, filtered_m: Array | None = None) -> None:
         """Update with the device position and the coupling stretch in a tick, each of shape (3,).
 
-        The first sample is used for all delays, as if the device had been at rest, which is true at
-        the start of a run. After a pause, the prediction is not trusted until samples at all delays
-        are known. `filtered_m` is the filtered position that the coupling may use. This argument is
-        ignored here, because a trained operator includes the effect of the filter.
+        The first sample is used for all delays, because a run starts with the device at rest. After
+        a pause, the prediction is not trusted until samples at all delays are known. `filtered_m`
+        is the filtered device position, if the coupling filters it. This argument is ignored here,
+        because a trained operator includes the effect of the filter.
         """
         recent = self._recent
         self._missing = max(self._missing - 1, 0)

@@ -64,13 +64,14 @@ class Guarded:
     """Force predictor with a fallback, which is used while the predictor is not trusted.
 
     The result is the fallback's force plus a weighted difference: the predictor's force minus the
-    fallback's force. The predictor loses trust in three cases. First, it reports that it is not
-    trusted. Second, the recent errors of its predictions are larger than the errors of the
+    fallback's force. The predictor is no longer trusted in three cases. First, it reports that it
+    is not trusted. Second, the recent errors of its predictions are larger than the errors of the
     fallback. Third, over a longer time, its errors are larger than the errors of a zero-order hold.
-    In this comparison, predicted contacts that did not happen also count as errors. When trust is
-    lost, the weight falls from 1 to 0 in `BLEND` ticks, so that the force does not jump. After
-    `PROBATION` ticks of trust, the weight increases at the same rate. The difference is limited to
-    ``reach_N``. If the difference is not finite, the last finite difference is used.
+    In the third case, predicted contacts that did not happen also count as errors. When trust is
+    lost, the weight of the difference falls from 1 to 0 within `BLEND` ticks, so that the force
+    does not jump. After `PROBATION` ticks of trust, the weight increases at the same rate. The
+    difference is limited to ``reach_N``. If the difference is not finite, the last finite
+    difference is used.
 
     Parameters
     ----------
@@ -79,7 +80,7 @@ class Guarded:
     instead
         Fallback predictor, used while the inner predictor is not trusted.
     reach_N
-        Largest difference between the forces of predictor and fallback [N].
+        Limit of the difference between the forces of predictor and fallback [N].
     """
 
     residual_N = 0.0
@@ -109,7 +110,7 @@ class Guarded:
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Pass the sample to predictor and fallback, and update whether the predictor is trusted.
 
-        A sample that is not finite or not plausible is treated as missing.
+        An implausible or non-finite sample is treated as missing.
         """
         if not (_sane(position_m) and _sane(velocity_m_s) and (force_N is None or _sane(force_N))):
             self.pause()
@@ -136,7 +137,7 @@ class Guarded:
         self.is_primary = self._share > 0.5
 
     def predict(self, ticks: float) -> Array:
-        """Return the force after a number of ticks, blended from predictor and fallback."""
+        """Return the blended force of predictor and fallback after a number of ticks."""
         # Three scalars are faster than arrays.
         u, v, w = self.inner.predict(ticks).tolist()
         x, y, z = self.instead.predict(ticks).tolist()
@@ -195,7 +196,7 @@ class Guarded:
         self._kept.append((primary, safe, self._seen))
 
     def pause(self) -> None:
-        """Pause predictor and fallback, and discard predictions that were not compared yet."""
+        """Pause predictor and fallback, and discard the stored predictions."""
         self._kept.clear()
         self.inner.pause()
         self.instead.pause()
@@ -213,16 +214,16 @@ class Observes(Protocol):
     Three optional members are used if they exist. ``pause()`` is called after a missing sample.
     ``trusted`` is False while the prediction should not be used. ``meet(contact)`` receives the
     contact of the tool in a tick (`tissue.prediction.predictor.Contact`). Before a run, a copy of
-    the predictor is probed to check the stability of the haptic loop. The response of the predictor
-    to a small change must decay within half a second. The method `predict` is called more than once
-    in a tick and must not change the predictor.
+    the predictor is tested to check that the haptic loop is stable. After a small change of its
+    input, the predictor's response must decay within half a second. The method `predict` is called
+    more than once in a tick and must not change the predictor.
     """
 
     def observe(self, position_m: Array, velocity_m_s: Array, force_N: Array | None) -> None:
         """Update with position [m], velocity [m/s] and force [N] of the device, each of shape (3,).
 
-        The force is the present force on the device. It is None in a tick without a new response of
-        the tissue.
+        The force is the present force on the device. In a tick without a new force from the tissue,
+        `force_N` is None.
         """
         ...
 
@@ -232,10 +233,10 @@ class Observes(Protocol):
 
 
 class Outside:
-    """Wrapper of an external predictor that adds the members which the predictor lacks.
+    """Wrapper that adds missing optional members to an external predictor.
 
-    The external predictor needs only the methods `observe` and `predict`. The attribute
-    ``residual_N`` is the magnitude of the last prediction error for one tick ahead.
+    The external predictor needs only the methods `observe` and `predict`. The wrapper's attribute
+    ``residual_N`` is the magnitude of the last error of a prediction one tick ahead.
 
     Parameters
     ----------
@@ -342,7 +343,7 @@ def _failed(name: str, method: str, error: Exception) -> InputError:
 
 
 class GuardedMaker:
-    """Factory of an external predictor with a guard.
+    """Factory that makes an external predictor and guards it (`Guarded`).
 
     The fallback of the guard is the zero-order hold.
 
@@ -351,8 +352,8 @@ class GuardedMaker:
     name
         Name of the predictor.
     make
-        Function that makes the predictor. Its argument is the data trained for the scene, if
-        `trained` is True.
+        Function that makes the predictor. If `trained` is True, its argument is the `Trained` data
+        of the scene.
     trained
         Whether `make` is called with the trained data. If False, it is called without arguments.
     """

@@ -30,15 +30,16 @@ direction.
 
 
 class Koopman:
-    """Force predictor that uses the recent motion of a device and of its coupling spring.
+    """Force predictor that uses recent motions of a device and stretches of its coupling spring.
 
     The predicted force is the stiffness of the coupling times the predicted stretch of the
     coupling. If the predicted force is opposite to the present force, it is replaced by zero.
 
-    If a device has been free for some ticks, the predicted force is zero until the predicted path
-    reaches the surface of the last contact. The surface is the plane at which that contact ended,
-    normal to the contact force. The plane is used only if the contact also began at this plane.
-    Behind the plane, the predicted force follows from the stiffness of the last contact.
+    If the tool has touched nothing for some ticks, the predicted force is zero until the predicted
+    path reaches the surface of the last contact. The surface is modelled as the plane through the
+    point where the contact ended, normal to the contact force. The plane is used only if the
+    contact also began on it. Beyond the plane, the predicted force is computed with the stiffness
+    of the last contact.
 
     Parameters
     ----------
@@ -73,10 +74,10 @@ class Koopman:
         """Update with the position of the device and the force on the device.
 
         In a tick without a force, the force at the new device position is computed from the last
-        contact. The predicted force is not used as an observation, because a predicted stretch and
-        measured displacements do not belong to the same motion. In a test with a tissue that
-        responds every tenth tick, using the predicted force made the predicted stretch grow without
-        bound within seconds.
+        contact. A predicted force is not used as an observation, because it would mix a predicted
+        stretch with measured displacements. In a test in which the tissue responded only in every
+        tenth tick, using predicted forces as observations made the predicted stretch diverge within
+        seconds.
         """
         if self._spring == 0.0:
             if force_N is not None:

@@ -40,15 +40,15 @@ A tissue as stiff as the coupling has a slope of 1.
 
 
 class ContactSlope:
-    """Estimate of the slope S, shape (3, 3), of a contact force: df = -S dp.
+    """Estimate of the slope S of a contact force, shape (3, 3), defined by df = -S dp.
 
     Here p is the position of the tool [m], and f is the force divided by the coupling's stiffness
     [m].
 
-    S is modelled as a random walk, and is corrected with the changes of every tick (recursive least
-    squares). The variance increases with the motion and not with time, so that the estimate of a
-    resting tool is kept. The estimate has no preferred direction: for a rotated motion, the result
-    is a rotated estimate.
+    S is modelled as a random walk, and is corrected in every tick with the changes of p and f
+    (recursive least squares). The variance of S increases with the motion and not with time, so
+    that the estimate does not change while the tool rests. The estimate has no preferred direction:
+    for a rotated motion, the result is a rotated estimate.
     """
 
     def __init__(self) -> None:
@@ -92,18 +92,18 @@ class ContactSlope:
 
 
 class LookAhead:
-    """Force predictor that balances coupling and tissue at the predicted device position.
+    """Predictor that balances coupling and tissue forces at the predicted device position.
 
-    Coupling and tissue are linearised about the last tick.
+    The forces of coupling and tissue are linearised about the last tick.
 
     Let k be the coupling's stiffness, p the tip of the tool, f the force of the tissue on the tool,
-    and K = -df/dp the slope of f. If the device is at x, the tool is at p' with k (x - p') + f - K
-    (p' - p) = 0. The force on the device is then k (p' - x). A tissue force that would pull the
-    tool is replaced by zero. For a free tool, the tissue may provide the distance and the stiffness
-    of its surface, with which the force after contact is predicted. If the tissue provides no
-    slope, the slope is estimated (`ContactSlope`).
+    and K = -df/dp the slope of f. If the device is at x, the tool moves to the point p' where the
+    forces balance: k (x - p') + f - K (p' - p) = 0. The force on the device is then k (p' - x). A
+    tissue force that would pull the tool is replaced by zero. For a free tool, the tissue may
+    provide the distance to its surface and the stiffness of the surface. These values give the
+    force after contact. If the tissue provides no slope, the slope is estimated (`ContactSlope`).
 
-    For a tool that cuts, the predicted force is the predicted stretch of the coupling times its
+    For a cutting tool, the predicted force is the coupling's predicted stretch times the coupling's
     stiffness. Using the law of the cutting force does not improve this prediction; see
     ``docs/decisions.md``.
 
@@ -115,11 +115,12 @@ class LookAhead:
         Predictor of the device's displacement and the coupling's stretch.
     slopes
         Source of the slope of the tissue force. ``none`` uses no slope. ``given`` uses the slopes
-        that the tissue provides. ``learnt`` also estimates slopes that the tissue does not provide.
-        In a contact without a slope, the predicted stretch of the coupling is used instead.
-        Examples are friction and rupture under a needle or a blade. At the start of such a contact,
-        no past stretch is known. The force is then computed from the stiffness of the surface below
-        the tool. The weight of this force falls from 1 to 0 within the prediction horizon.
+        that the tissue provides. ``learnt`` uses these slopes, and estimates slopes that the tissue
+        does not provide. In a contact without a slope, such as friction and rupture under a needle
+        or a blade, the predicted stretch of the coupling gives the force. At the start of such a
+        contact, no past stretch is known. The force is then computed from the stiffness of the
+        surface below the tool. The weight of this force falls from 1 to 0 within the prediction
+        horizon.
     """
 
     residual_N = 0.0
@@ -146,7 +147,7 @@ class LookAhead:
         return self._contact is not None and self.path.trusted
 
     def meet(self, contact: Contact) -> None:
-        """Store the local law of the tissue in this tick."""
+        """Store the local law of the tissue that is valid in this tick."""
         spring = contact.spring_N_m
         self._contact = Contact(
             spring,
@@ -231,7 +232,7 @@ class LookAhead:
         return self._force + stiffness * depth * contact.normal
 
     def pause(self) -> None:
-        """Discard previous samples, and keep the slope as first guess for the next contact."""
+        """Discard previous samples, and keep the slope as a first guess for the next contact."""
         self.path.pause()
         self._slope.pause()
 

@@ -26,12 +26,13 @@ INTERVAL = 32
 
 
 class AdaptivePath(DelayPath):
-    """Predictor like `DelayPath`, whose operator is fitted again during the run.
+    """Predictor like `DelayPath`, but with an operator that is fitted again during the run.
 
     The moments of the last ticks are summed with exponential forgetting (recursive least squares in
-    information form). The moments of the initial operator are added at a constant rate. The sum is
-    therefore bounded and positive definite for any motion. All axes share the fit, so that the fit
-    is invariant to rotation. Time per tick and memory are constant.
+    information form). The moments of the initial operator are added at a constant rate. For any
+    motion, forgetting therefore bounds the sum, and the initial moments keep it positive definite.
+    All axes share the fit, so that the fit is invariant to rotation. Time per tick and memory are
+    constant.
 
     Parameters
     ----------
@@ -56,10 +57,11 @@ class AdaptivePath(DelayPath):
         self._good = 0
 
     def observe(self, position_m: Array, stretch_m: Array, filtered_m: Array | None = None) -> None:
-        """Update with a sample, and add the newest tick with known targets to the fit.
+        """Update with a sample, and add to the fit the newest tick whose targets are known.
 
-        The targets are the displacements to later positions and the changes of the stretch. If the
-        coupling filters the position, the later positions are filtered.
+        The targets of a tick are the displacements to later positions, and the changes of the
+        stretch until then. If the coupling filters the device position, the later positions in the
+        targets are filtered positions.
         """
         super().observe(position_m, stretch_m)
         past = self._past

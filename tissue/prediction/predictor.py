@@ -42,7 +42,7 @@ class Predictor(Protocol):
         ...
 
     def pause(self) -> None:
-        """Reset after missing samples, because the next sample does not follow the last one."""
+        """Reset after missing samples: the next sample is not one tick after the last one."""
         ...
 
 
@@ -72,32 +72,32 @@ class Hold:
 
 @dataclass
 class Contact:
-    """Contact data: a tool that a spring couples to a device, and the local law of the tissue.
+    """State of a tool coupled to a device by a spring, and local law of the tissue.
 
-    All lengths [m] and forces [N] are converted to values at the device.
+    Lengths [m] and forces [N] at the tool are converted to lengths and forces at the device.
 
     Attributes
     ----------
     spring_N_m
         Stiffness of the coupling [N/m].
     tip_m
-        Position of the tool [m], shape (3,). Without a force, this is the position of the device.
+        Position of the tool [m], shape (3,). If no force acts, this is the position of the device.
     force_N
         Force of the tissue on the tool at this position [N], shape (3,).
     stiffness_N_m
         Stiffness -dF/dx of the tissue at the tool [N/m], shape (3, 3). None if the tissue does not
         provide its stiffness.
     gap_m
-        Distance of a free tool from the tissue's surface [m]; infinite if the tissue does not
-        provide it.
+        Distance of a free tool from the tissue's surface [m]; infinite if the tissue gives no
+        distance.
     normal
         Outward unit normal of the surface, shape (3,).
     surface_N_m
         Stiffness of the surface below a free tool, along the normal [N/m]; infinite if it is not
         known.
     cuts
-        True for a tool that cuts. In contrast to soft tissue, cut tissue does not push the tool
-        back to an earlier position.
+        True for a tool that cuts. Cut tissue does not push the tool back to an earlier position,
+        unlike elastic tissue.
     """
 
     spring_N_m: float
@@ -173,10 +173,10 @@ class Linear:
 
 @lru_cache
 def kalman_gains(ticks: int, jerkiness: float) -> Array:
-    """Return the steady-state Kalman gains, shape (3,), for force, first and second derivative.
+    """Return the steady-state Kalman gains, shape (3,), for a force and its first two derivatives.
 
-    A force is observed every `ticks` ticks. The process is F''' = white noise. The gains solve the
-    discrete Riccati equation (Kalman 1960).
+    A force is observed every `ticks` ticks. The third derivative of the force is modelled as white
+    noise. The gains solve the discrete Riccati equation (Kalman 1960).
     """
     from scipy.linalg import solve_discrete_are
 
@@ -193,7 +193,7 @@ def kalman_gains(ticks: int, jerkiness: float) -> Array:
 
 
 class Kalman:
-    """Predictor that extrapolates a parabola, estimated with a steady-state Kalman filter.
+    """Predictor that extrapolates a parabola estimated by a steady-state Kalman filter.
 
     The filter assumes white noise in the third derivative of the force and in the observed force.
     """

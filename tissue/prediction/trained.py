@@ -41,22 +41,23 @@ SHAPES = {"coordinates": (COORDINATES, COORDINATES), "targets": (COORDINATES, 2 
 
 @dataclass(frozen=True)
 class Trained:
-    """Data of the predictors that were trained on runs of a scene.
+    """Predictor data obtained by training on runs of a scene.
 
     Attributes
     ----------
     scene
         Name of the scene.
     operator
-        Delay operator of displacement and stretch of an axis [m], see `tissue.prediction.delays`.
+        Delay operator that predicts displacement and stretch along one axis [m], see
+        `tissue.prediction.delays`.
     step_m
         Encoder step of the devices on which the operator was trained [m].
     fine
         Second operator, trained on the same runs with encoder steps of `FINE_STEP_M`. None if
         `step_m` is not larger than `FINE_STEP_M`.
     fallback
-        Name of the predictor that is used outside the training range. In training, this was the
-        best predictor without an operator.
+        Name of the predictor that is used outside the training range. In training, this predictor
+        was the best one without an operator.
     facts
         Dict with numbers and names that describe the training and the validation.
     """
@@ -69,9 +70,9 @@ class Trained:
     facts: dict[str, Any] = field(default_factory=dict)
 
     def at_step(self, step_m: float) -> "Trained":
-        """Return the trained predictors, adapted to a device with another encoder step [m].
+        """Return the trained predictors for a device with another encoder step [m].
 
-        The moments of the two operators are interpolated linearly over the encoder step q. The
+        The moments of `operator` and `fine` are interpolated linearly over the encoder step q. The
         reason is that a displacement d shorter than q is read as q with a probability of d / q. The
         mean square of the reading, d q, is therefore linear in q. Outside the range of the two
         operators, the nearest operator is used.
@@ -103,7 +104,9 @@ class Trained:
         return bool(errors[kind][at] > errors[other][at])
 
     def write(self, path: str | Path, *, overwrite: bool = False) -> Path:
-        """Write the predictors to a file, which appears only when it is complete.
+        """Write the predictors to a file.
+
+        The file appears under its name only when it is complete.
 
         Raises
         ------
@@ -214,18 +217,18 @@ def shipped_file(scene: str) -> Path:
 def is_trained(scene: str, file: str = "") -> bool:
     """Return True if trained predictors exist for a scene.
 
-    The predictors are in the given file or, without a file, in a file that is part of the package.
+    The predictors are in `file`. If no file is given, they are in a file of the package.
     """
     return bool(file) or (SHIPPED / f"{scene}.npz").is_file()
 
 
 @cache
 def general_operator(*, without: str = "", step_m: float = inf) -> DelayOperator:
-    """Return the operator fitted to the training data of all built-in predictors.
+    """Return the operator fitted to the pooled training data of all built-in predictors.
 
     Every scene has the same weight. The data of the scene ``without`` are not used. ``step_m`` is
-    the encoder step of the device. With the default, the operator is for the encoder step of the
-    devices in training.
+    the encoder step of the device. By default, the operator is for the encoder step of the devices
+    used in training.
     """
     operators = [
         Trained.read(path).at_step(step_m).operator

@@ -33,7 +33,7 @@ __all__ = [
 
 
 class CutAnatomy(Part):
-    """Bone or tooth that a tool cuts, as the table ``anatomy`` of a scene."""
+    """Table ``anatomy`` of a scene, for a bone or tooth that a tool cuts."""
 
     kind: str
 
@@ -46,7 +46,7 @@ class CutAnatomy(Part):
     def from_file(self) -> str | None:
         """File that contains the whole shape, or None.
 
-        It is None for a procedural shape, and for a tooth with one file per layer.
+        It is None for a shape defined by formulas, and for a tooth with one file per layer.
         """
         file: str | None = getattr(self, "file", None)
         return file
@@ -67,7 +67,7 @@ class CutAnatomy(Part):
 
 
 class Drilled(CutAnatomy):
-    """Bone or tooth that may have a guide hole."""
+    """Bone or tooth in which the scene may have a guide hole before the run."""
 
     guide_hole_diameter_mm: Annotated[float, Needs("anatomy.guide_hole_depth_mm")] = Field(
         0.0, ge=0, le=50
@@ -138,7 +138,7 @@ class Glenoid(Part):
 class GlenoidAnatomy(Glenoid, Drilled):
     """A glenoid: a concave articular surface, a subchondral plate and trabecular bone below it.
 
-    The origin is at the centre of the articular surface, with +z outward.
+    The origin is at the centre of the articular surface; +z points outward.
     """
 
     width_mm: float = Field(27.8, ge=20, le=34)
@@ -197,10 +197,10 @@ class BlockSurface(Block, SurfaceAnatomy):
 
 
 class BlockImage(Block, ImageAnatomy):
-    """Bone from an image volume, either placed with a site at the origin or as the whole image.
+    """Bone from an image volume: either with a site at the origin, or the whole image.
 
-    With `centre_mm`, this point of the image becomes the origin. Without `centre_mm`, the top of
-    the image is at z = 0.
+    If `centre_mm` is given, this point of the image becomes the origin. Without `centre_mm`, the
+    top of the image is at z = 0.
     """
 
     @property
@@ -211,7 +211,8 @@ class BlockImage(Block, ImageAnatomy):
     def idle(self) -> dict[str, Idle]:
         """Return the keys that have no effect, with the reasons.
 
-        Without `centre_mm`, the keys for a site, a cortical shell and a guide hole have no effect.
+        Without `centre_mm`, the key `along` and the keys for a cortical shell and a guide hole have
+        no effect.
         """
         whole = Idle("for an image as it is, without anatomy.centre_mm", "set anatomy.centre_mm")
         placing = (
@@ -224,10 +225,10 @@ class BlockImage(Block, ImageAnatomy):
 
 
 class Bone(Part):
-    """Bone from a file, with the origin at the site of its surface where the tool works.
+    """Bone from a file; the origin is at the site, where the tool works on the surface.
 
-    One of three inputs determines the cortical and trabecular layers: an image of the density, a
-    surface around the trabecular bone, or a uniform thickness of the cortical bone.
+    The cortical and trabecular layers are determined by an image of the density, a surface around
+    the trabecular bone, or a uniform cortical thickness.
     """
 
     kind: Literal["bone"] = "bone"
@@ -259,14 +260,14 @@ class Bone(Part):
 class BoneSurface(Bone, SurfaceAnatomy):
     """A bone from a surface file, for example from a file that `tissue import` writes.
 
-    The origin is at the site, a point of the surface where the tool works, with +z outward.
+    The origin is at the site, the surface point where the tool works; +z points outward.
     """
 
 
 class BoneImage(Bone, ImageAnatomy):
     """A bone from an image volume.
 
-    The origin is at the site, a point of the bone's surface where the tool works, with +z outward.
+    The origin is at the site, the surface point where the tool works; +z points outward.
     """
 
 
@@ -373,8 +374,8 @@ class MolarLabels(ToothSite):
 class VertebraAnatomy(Drilled):
     """A lumbar vertebra.
 
-    The origin is behind the left pedicle, with +z outward along the pedicle's axis and +y up. The
-    spinal canal lies at +x. In `keep_clear.names`, the spinal canal has the name `canal`.
+    The origin is behind the left pedicle; +z points outward along the pedicle's axis, and +y points
+    up. The spinal canal lies at +x. In `keep_clear.names`, the spinal canal has the name `canal`.
     """
 
     kind: Literal["vertebra"] = "vertebra"

@@ -16,7 +16,7 @@ Button = Annotated[int, Field(ge=0, le=31)]
 
 
 class Hardware(Part):
-    """Connection to a real device, orientation of its axes, and safety limits of its force.
+    """Settings for a real device: connection, orientation of its axes, and limits of its force.
 
     The key ``coupling.motion_scale`` scales the motion of the device.
     """
@@ -109,7 +109,7 @@ class Coupling(Part):
 class Device(Part):
     """A haptic device through which a hand moves the tool.
 
-    Without this table, the tool follows the table `motion`.
+    Without this table, the tool moves as the table `motion` defines.
     """
 
     kind: Annotated[str, OneOf(DEVICES)] = Field(examples=["touch"])
@@ -131,7 +131,7 @@ class Device(Part):
     """Address and axes of a real device, and safety limits of its force."""
 
     def rules(self) -> Iterator[Rule]:
-        """Yield conditions under which keys have no effect with the device or predictor."""
+        """Yield the conditions under which the device or the predictor makes keys ineffective."""
         entry = DEVICES[self.kind]
         has_torque = entry.numbers.get("torque_limit_Nm", 0.0) > 0.0
         # koopman-online starts from a file where there is one.
@@ -161,9 +161,9 @@ class Device(Part):
 class Fidelity(Part):
     """Requirements on the accuracy and the speed of a run.
 
-    Both are measured on this machine for several settings, such as voxel sizes. With `force_error`,
-    the run uses the fastest settings that meet the requirements. With `tick_ms` alone, it uses the
-    most accurate settings that are fast enough.
+    Accuracy and speed are measured on this machine for several settings, such as voxel sizes. With
+    `force_error`, the run uses the fastest settings that meet the requirements. With `tick_ms`
+    alone, the run uses the most accurate settings that are fast enough.
     """
 
     force_error: float | None = Field(None, gt=0, le=1, examples=[0.03])

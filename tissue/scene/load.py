@@ -22,9 +22,9 @@ from tissue.materials.scene_constants import Materials
 from tissue.scene.messages import error_of, idle_keys
 from tissue.scene.part import is_file_key, removal_of
 from tissue.scene.plugins import refusal
-from tissue.scene.registry import CUTTERS, PERCEPTIONS, SCENES
+from tissue.scene.registry import PERCEPTIONS, SCENES
 from tissue.scene.scene import Scene
-from tissue.scene.tool import Tool
+from tissue.scene.tool import kept_entries
 
 FORMAT = 2
 """Version of the scene file format.
@@ -59,7 +59,7 @@ class OldSceneWarning(UserWarning):
 
 
 class DroppedKeyWarning(UserWarning):
-    """Warning about keys of a scene that have no effect after overrides."""
+    """Warning about scene keys that have no effect after other keys were overridden."""
 
 
 def full_key(key: str, value: object = None) -> str:
@@ -75,8 +75,8 @@ def full_key(key: str, value: object = None) -> str:
 def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
     """Convert the table of a scene file to the current format.
 
-    The second returned value is True if keys without effect are accepted, because a run wrote them.
-    Runs wrote such keys only up to format 1.
+    The second returned value is True if keys without effect are accepted, as in files that a run
+    wrote. Only files up to format 1 contain such keys.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def scene_names() -> list[str]:
 
 @suggests_arguments
 def scene_text(name: str) -> str:
-    """Return the TOML text of the scene with a name.
+    """Return the TOML text of a scene, given its name.
 
     Raises
     ------
@@ -193,8 +193,8 @@ def load_scene(
     overrides
         Values that replace values of the scene, keyed by dotted key, such as
         ``{"voxels.spacing_mm": 0.2}``. Keys of the table ``device`` may be given without the name
-        of the table: ``hand``, ``coupling.delay_ms``. If an override makes another key of the scene
-        ineffective, that key is removed, and a warning names it.
+        of the table: ``hand``, ``coupling.delay_ms``. If an override makes another scene key
+        ineffective, the other key is removed and named in a warning.
     live
         True for a live run, in which the mouse moves the tool if the scene names no device.
 
@@ -258,7 +258,7 @@ def scene_table(path: Path) -> dict[str, Any]:
 
 
 def saved_text(scene: Scene) -> str:
-    """Return a scene as TOML text, with the version of the file format and of tissue."""
+    """Return a scene as TOML text, with the versions of the file format and of the package."""
     return f'format = {FORMAT}\ntissue = "{package_version()}"\n{scene.to_toml()}'
 
 
@@ -511,7 +511,11 @@ def parse_overrides(texts: Iterable[str]) -> dict[str, object]:
 
 
 def _place(table: dict[str, object], key: str, value: object) -> None:
-    """Set the value of a dotted key; a new ``kind`` removes keys that this kind does not have."""
+    """Set the value of a dotted key.
+
+    A new ``kind`` removes the other keys of its table, except the keys of a cutter or a motion that
+    the new kind has, too.
+    """
     *parents, last = key.split(".")
     if len(parents) > DEEPEST:
         raise InputError(
@@ -532,18 +536,7 @@ def _place(table: dict[str, object], key: str, value: object) -> None:
         table = inner
     # Devices of all kinds have the same keys, so a new kind of device keeps the other keys.
     if last == "kind" and parents != ["device"] and table.get("kind", value) != value:
-        kept = _kept_of_cutter(table, value) if parents == ["tool"] else {}
+        kept = {} if len(parents) != 1 else kept_entries(parents[0], table, value)
         table.clear()
         table.update(kept)
     table[last] = value
-
-
-def _kept_of_cutter(tool: Mapping[str, object], kind: object) -> dict[str, object]:
-    """Return the entries of a cutter's table that are also valid for another kind of cutter.
-
-    ``shell_spacing_mm`` is not returned, because it was chosen for the shape of the old cutter.
-    """
-    if str(tool["kind"]) not in CUTTERS or str(kind) not in CUTTERS:
-        return {}
-    has = {*Tool.model_fields, *CUTTERS[str(kind)].keys} - {"shell_spacing_mm"}
-    return {key: value for key, value in tool.items() if key in has}

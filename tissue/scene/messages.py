@@ -13,8 +13,9 @@ from pydantic_core import ErrorDetails
 from meshes.base.errors import InputError
 from meshes.base.hints import closest, did_you_mean
 from meshes.base.text_tables import shown, unknown_name
+from tissue.materials.scene_constants import TABLES
 from tissue.scene.anatomy import Tooth
-from tissue.scene.part import LONGEST_PATH, ByKind, Idle, OneOf, kinds_of
+from tissue.scene.part import LONGEST_PATH, ByKind, Idle, OneOf, entries, kinds_of
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import OR_NONE, Scene
 from tissue.scene.tool import Probe, Tool
@@ -100,7 +101,7 @@ class _Place:
 
 
 def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) -> InputError:
-    """Convert a fault that pydantic found in a table to an error with a message for users."""
+    """Convert a fault of a table, found by pydantic, to an error with a message for users."""
     place = _Place.of(fault["loc"], table, model)
     key = place.key
     kind = str(fault["type"])
@@ -181,6 +182,12 @@ def _unknown_key(place: _Place, table: Table, model: type[BaseModel]) -> InputEr
     names = place.names
     if place.holders:
         return _of_another_kind(place, place, table)
+    if len(names) == 1 and names[0] in TABLES:
+        constant = next((key for key, _ in entries({names[0]: place.value})), names[0])
+        return InputError(
+            f"{constant} is not a known key of a scene. Write constants into a TOML file, and "
+            'name this file by the key materials: materials = "FILE.toml"'
+        )
     keys = dict(_keys(table, model, present=names[:-1]))
     meant = _meant(names, keys)
     if meant and not keys.get(meant[0], True):
@@ -365,22 +372,13 @@ def _source(part: type[BaseModel]) -> str:
 
 
 def idle_keys(fault: ErrorDetails, table: Table) -> list[str]:
-    """Return the dotted keys without effect that a fault of pydantic reports."""
+    """Return the dotted names of the ineffective keys that a pydantic fault reports."""
     place = _Place.of(fault["loc"], table, Scene)
     if fault["type"] == "idle_keys":
         return [".".join((*place.names, key)) for key in fault["ctx"]["refused"]]
     if fault["type"] == "extra_forbidden" and place.holders:
         return [".".join(place.names)]
     return []
-
-
-def entries(table: Table, prefix: str = "") -> Iterator[tuple[str, object]]:
-    """Yield the dotted keys and the values of nested tables."""
-    for name, value in table.items():
-        if isinstance(value, Mapping):
-            yield from entries(value, f"{prefix}{name}.")
-        else:
-            yield f"{prefix}{name}", value
 
 
 def _shown(value: object) -> str:
@@ -394,7 +392,7 @@ def _shown(value: object) -> str:
 
 
 def choices_of(field: FieldInfo) -> list[str]:
-    """Return the names that a field accepts as values; empty if the field accepts other values."""
+    """Return the names that a field accepts; empty if the field accepts other kinds of values."""
     literals = [part for part in _alternatives(field.annotation) if get_origin(part) is Literal]
     named = [name for each in field.metadata if isinstance(each, OneOf) for name in each.names]
     return named or [str(choice) for part in literals for choice in get_args(part)]

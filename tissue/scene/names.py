@@ -22,15 +22,16 @@ class AnatomyEntry:
     Attributes
     ----------
     parameters
-        Classes of the table ``anatomy`` for this tissue, one for each source of the shape. The
-        value of the key ``kind`` in these tables is the name of the entry.
+        Classes of the table ``anatomy`` for this tissue: one for each source of the shape, such as
+        formulas or a surface file. The value of the key ``kind`` in these tables is the name of the
+        entry.
     tool
         Class of the tools that can work on this tissue.
     build, force_N, pictures, faces
         Functions of a registered tissue, see `tissue.register`. `build` makes the objects that a
-        run needs. `force_N` estimates the largest force during the motion of the scene [N].
+        run needs. `force_N` estimates the largest force [N] during the tool motion in the scene.
         `pictures` maps file names to functions that draw pictures of a run. `faces` returns the
-        triangles with which a window shows the tissue.
+        triangles that a window draws to show the tissue.
     """
 
     parameters: tuple[type[Part], ...]
@@ -103,8 +104,8 @@ class DeviceEntry:
         Values of `tissue.haptics.device.device.DeviceParameters`, keyed by name. The stability
         check and the simulated device use them.
     make
-        Function that opens the real device, if the kind of device was registered. Its argument is
-        the start position of the tool in the scene [m].
+        Function that opens the real device; set only for a registered kind of device. Its argument
+        is the start position of the tool in the scene [m].
     has_adapter
         True if `tissue.haptics.real` can open the real device.
     """
@@ -127,8 +128,8 @@ class PredictorEntry:
     ----------
     make
         Function that makes a registered predictor. Its arguments are the data that `tissue train`
-        wrote for the scene, or None for a predictor that is not trained, and the largest force of
-        the device [N].
+        wrote for the scene (None for an untrained predictor), and the largest force of the device
+        [N].
     trained
         True if the predictor needs the output of `tissue train`.
     colour, marker

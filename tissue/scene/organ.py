@@ -15,7 +15,7 @@ LAYERS = ("capsule", "parenchyma")
 
 
 class SoftAnatomy(Part):
-    """Soft organ with a mesh of tetrahedra, as the table ``anatomy`` of a scene."""
+    """Table ``anatomy`` of a scene, for a soft organ with a mesh of tetrahedra."""
 
     source: ClassVar[str] = "procedural"
     """Origin of the shape, as error messages name it."""
@@ -49,7 +49,7 @@ class WithNodule(SoftAnatomy):
 
 
 class Held(SoftAnatomy):
-    """Liver or organ from a file, fixed at a part of its surface."""
+    """Liver, or organ from a file, that is fixed at a part of its surface."""
 
     kind: Literal["liver"] = "liver"
     """A liver, or the organ in `file`."""
@@ -68,15 +68,15 @@ class Held(SoftAnatomy):
 class LiverAnatomy(Held, WithNodule):
     """A liver.
 
-    The origin is on top of the right lobe, with z to the head and x to the patient's left.
+    The origin is on top of the right lobe; z points to the head, x to the patient's left.
     """
 
 
 class LiverFile(Held):
     """An organ from a file.
 
-    The origin is the surface point nearest to `centre_mm`. Without `centre_mm`, it is the farthest
-    surface point in the direction `normal`.
+    The origin is the surface point nearest to `centre_mm`. Without `centre_mm`, the origin is the
+    surface point that is farthest in the direction `normal`.
     """
 
     source: ClassVar[str] = "from a file"
@@ -175,7 +175,7 @@ class LayersAnatomy(Part):
     """
 
     def require_valid(self) -> None:
-        """Check that membranes with a force also have a depth."""
+        """Check that each membrane with a given puncture or hold force also has a depth."""
         for key in ("membrane_punctures_N", "membrane_holds_N"):
             for name in getattr(self, key) or {}:
                 if name not in (self.membrane_depths_mm or {}):

@@ -49,8 +49,8 @@ class Registry(Generic[T]):
     key
         Scene key whose value is a name in this registry; used in messages.
     parts
-        Parts, keyed by name. A name such as ``observer:FILE`` matches texts with any other text
-        after the colon.
+        Parts, keyed by name. A name such as ``observer:FILE`` matches ``observer:`` followed by any
+        other text.
     group
         Group of entry points through which installed packages offer more parts. The entry points
         are read only if a name is unknown, or if all names are requested.
@@ -58,7 +58,7 @@ class Registry(Generic[T]):
     Attributes
     ----------
     built_in
-        Names of the parts in `parts`, without parts that were added later.
+        Names of the initial parts, without parts that were added later.
     """
 
     def __init__(self, key: str, parts: Mapping[str, T], *, group: str = "") -> None:
@@ -129,7 +129,7 @@ class Registry(Generic[T]):
         return None
 
     def with_file_at(self, text: str, folder: Path) -> str:
-        """Return a text such as ``observer:a.json`` with the path of its file made absolute.
+        """Return a text such as ``observer:a.json`` with an absolute path of its file.
 
         A relative path is taken as relative to `folder`.
         """
@@ -157,7 +157,7 @@ class Registry(Generic[T]):
         self.put(name, part)
 
     def put(self, name: str, part: T) -> None:
-        """Set the part with a name; an existing part with this name is replaced."""
+        """Store a part under a name, and replace an existing part with this name."""
         self._parts[name] = part
         self._changed()
 
@@ -174,7 +174,7 @@ class Registry(Generic[T]):
 
 @dataclass(frozen=True)
 class OneOf(Generic[T]):
-    """Annotation for a scene key whose value must be a name in a registry, or one of `others`.
+    """Annotation for a scene key that accepts the names in a registry and the texts in `others`.
 
     The value is checked when the scene is validated.
     """
@@ -217,7 +217,7 @@ class OneOf(Generic[T]):
 
 
 def kinds_of(part: "type[BaseModel]") -> tuple[str, ...]:
-    """Return the known values of the key `kind` that a table class accepts."""
+    """Return the known values that a table class accepts for its key ``kind``."""
     field = part.model_fields["kind"]
     return next(
         (each.known for each in field.metadata if isinstance(each, OneOf)),
@@ -238,7 +238,7 @@ A message uses the first name for which the chosen kind has a table class.
 
 
 def source_of(table: Mapping[str, object]) -> tuple[str, ...]:
-    """Return the possible sources of a shape, determined from the file names in a table."""
+    """Return the possible sources of an anatomy's shape, judged by the file names in its table."""
     file = table.get("file")
     if not isinstance(file, str) or not file:
         has_layers = any(f"{layer}_file" in table for layer in LAYERS)
@@ -248,7 +248,7 @@ def source_of(table: Mapping[str, object]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ByKind:
-    """Annotation for a key that holds a table; the key ``kind`` in it selects the table class.
+    """Annotation for a key with a table as value; the table's key ``kind`` selects its class.
 
     If a kind has several classes, the source of the shape (procedural, surface, image) selects one.
 
@@ -331,17 +331,26 @@ Rule = tuple[str, bool, str, str]
 
 
 class Idle(NamedTuple):
-    """Reason why a key has no effect, such as ``without a nodule``, and how to change the scene."""
+    """Reason why a key has no effect, such as ``without a nodule``, and advice for a change."""
 
     where: str
     remedy: str
 
 
 def removal_of(keys: Collection[str]) -> str:
-    """Return the note on keys that were removed because changes made them ineffective."""
+    """Return a note on keys that were removed because scene changes made them ineffective."""
     names = ", ".join(sorted(keys))
     has, was = ("has", "was") if len(keys) == 1 else ("have", "were")
     return f"{names} of the scene {has} no effect after the changes and {was} removed"
+
+
+def entries(table: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:
+    """Yield the dotted keys and the values of nested tables."""
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            yield from entries(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
 
 
 def is_given(part: "Part", name: str) -> bool:
@@ -361,8 +370,8 @@ def is_file_key(name: str) -> bool:
 class Needs:
     """Annotation for a scene key that has an effect only if another key has a certain value.
 
-    The other key is in the same table. It must have the value `value`, or any value except its
-    default, or be absent.
+    The other key is in the same table. The other key must have the value `value`, or any value
+    except its default, or it must be absent (`is_absent`).
 
     Attributes
     ----------
@@ -371,7 +380,7 @@ class Needs:
     value
         Value that the other key must have; None for any value except its default.
     is_absent
-        True if the other key must be absent instead.
+        True if the other key must be absent; `value` is then not used.
     """
 
     key: str
@@ -379,7 +388,7 @@ class Needs:
     is_absent: bool = False
 
     def why_not(self, part: "Part") -> Idle | None:
-        """Return the reason why the key with this annotation has no effect in `part`, or None."""
+        """Return the reason why the annotated key has no effect in `part`; None if it has one."""
         name = self.key.rpartition(".")[2]
         given = getattr(part, name)
         # A default means that nothing was chosen: 0 mm is no hole, and an empty name is no file.
@@ -402,7 +411,7 @@ class Needs:
 
 @suggests_arguments
 class Part(BaseModel):
-    """Base class of the tables of a scene: immutable, and without unknown or ineffective keys."""
+    """Base class of scene tables; a table is immutable and refuses unknown or ineffective keys."""
 
     model_config = ConfigDict(
         frozen=True,
@@ -420,8 +429,8 @@ class Part(BaseModel):
     def idle(self) -> dict[str, Idle]:
         """Return the keys that have no effect, with the reason for each key.
 
-        The result may also contain dotted keys of inner tables, and names of inner tables without
-        any effective key.
+        The result may also contain dotted keys of inner tables, and the names of inner tables in
+        which no key has an effect.
         """
         found: dict[str, Idle] = {}
         for keys, is_idle, where, remedy in self.rules():

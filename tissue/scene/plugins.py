@@ -33,11 +33,11 @@ _refused: dict[tuple[str, str], str] = {}
 
 
 class PluginWarning(UserWarning):
-    """Warning about a part of an installed package that is left out because it cannot be used."""
+    """Warning that a part of an installed package cannot be used and is left out."""
 
 
 def ask_packages(group: str) -> None:
-    """Register all parts in a group of entry points of installed packages.
+    """Register all parts that installed packages offer in a group of entry points.
 
     Each group is read only once. A part that cannot be used is left out with a `PluginWarning`; see
     `refusal`. If a part with the same name is already registered, that part is kept.

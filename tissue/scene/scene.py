@@ -66,6 +66,13 @@ def _as_list(value: object) -> object:
     return [value] if isinstance(value, str) else value
 
 
+OWN_DISTANCES = (
+    "replace keep_clear by your own computation of distances from the tip positions and directions "
+    "in the trace (for a needle, deflection_mm is the displacement of the tissue along its axis)"
+)
+"""Remedy for `keep_clear` in a scene whose tool is a needle, a blade or a probe."""
+
+
 class KeepClear(Part):
     """Structures that the tool must not touch.
 
@@ -91,7 +98,7 @@ class KeepClear(Part):
     """
 
     def require_valid(self) -> None:
-        """Check that at least one structure is given, and no structure twice."""
+        """Check that at least one structure is given, and that none is given twice."""
         if not self.names and not self.files:
             raise InputError(
                 "keep_clear", "state names or files", "neither", "remove it, or name a structure"
@@ -247,7 +254,10 @@ class Scene(Part):
     motion: AnyMotion
     """Motion of the tool."""
     keep_clear: KeepClear | None = None
-    """Structures that the tool must not touch."""
+    """Structures that the tool must not touch. The tool must cut bone or teeth. For a needle,
+    compute distances from the tip positions and directions in the trace; `deflection_mm` is the
+    displacement of the tissue along the needle.
+    """
     cutting: Cutting = Cutting()
     """Changes to the built-in cutting coefficients."""
     output: Output = Output()
@@ -288,19 +298,20 @@ class Scene(Part):
 
     @property
     def motion_scale(self) -> float:
-        """Tool displacement [m] for each metre of device displacement; 1 without a device."""
+        """Ratio of the tool's displacement to the device's displacement; 1 without a device."""
         return 1.0 if self.device is None else self.device.coupling.motion_scale
 
     @property
     def predictor_file(self) -> str:
-        """File of a trained predictor; empty if the predictor shipped for the scene is used."""
+        """File of a trained predictor; empty if the predictor that comes with the scene is used."""
         return "" if self.device is None else self.device.coupling.predictor_file
 
     @property
     def constants(self) -> Materials:
         """Material constants for the scene.
 
-        They are the built-in constants, with replacements from the file in the key `materials`.
+        They are the built-in constants. The file named by the key `materials` may replace some of
+        them.
 
         Raises
         ------
@@ -310,21 +321,22 @@ class Scene(Part):
         return Materials.read(self.materials) if self.materials else Materials.cited
 
     def require_valid(self) -> None:
-        """Check that anatomy, tool, voxel size and stress cells can be used together."""
+        """Check that anatomy, tool, voxel size and stress grid can be used together."""
         kind = self.anatomy.kind
         wanted = ANATOMIES[kind].tool
         if not isinstance(self.tool, wanted):
-            names = ", ".join(
+            kinds = [
                 kind for part in tool_parts() if issubclass(part, wanted) for kind in kinds_of(part)
-            )
+            ]
+            names = kinds[0] if len(kinds) == 1 else f"one of {', '.join(kinds)}"
             got = self.tool.kind
-            remedy = "choose one of these"
+            remedy = f"choose {names}" if len(kinds) == 1 else "choose one of these"
             fitting = (
                 each for each in ANATOMIES.known if isinstance(self.tool, ANATOMIES[each].tool)
             )
             if (other := next(fitting, None)) is not None:
                 remedy += f', or set anatomy.kind = "{other}" for a {got}'
-            raise InputError("tool.kind", f"be one of {names} for a {kind}", got, remedy)
+            raise InputError("tool.kind", f"be {names} with anatomy.kind = {kind}", got, remedy)
         # The model of the wall is one spring at the lowest point of a ball.
         if kind == "wall" and self.tool.kind != "sphere-probe":
             raise InputError(
@@ -401,6 +413,9 @@ class Scene(Part):
                     f"give constants of the tissue, such as {ENTERED[type(self.tool)]}, in the "
                     "file that materials names"
                 )
+            if table == "keep_clear" and not is_cut:
+                where = f"for a {self.tool.kind}, which cuts neither bone nor teeth"
+                remedy = OWN_DISTANCES
             yield table, table not in reads, where, remedy
         if isinstance(anatomy, BlockImage):
             yield (
@@ -495,7 +510,7 @@ for table in (ANATOMIES, CUTTERS, PROBES, NEEDLES, MOTIONS):
 
 
 def without_fields(scene: Scene) -> Scene:
-    """Return a copy of a scene that saves no fields during the run; fields do not affect forces."""
+    """Return a copy of a scene in which no fields are saved; forces do not depend on the fields."""
     for name in ("anatomy", "organ"):
         part = getattr(scene, name)
         if "interval_ms" in type(part).model_fields:

@@ -27,7 +27,7 @@ def _texts_of(scene: Scene) -> list[str]:
 
 
 def folders_of(scene: Scene) -> list[str]:
-    """Return the folders of all absolute file paths in a scene, longest first.
+    """Return the folders of all absolute file paths in a scene; the longest folder name is first.
 
     Each folder ends with the path separator. Root folders are left out.
     """
@@ -75,7 +75,7 @@ def anatomy_of(scene: Path) -> dict[str, object]:
 
 
 def save_site(scene: Path, centre_mm: Sequence[float], normal: Sequence[float]) -> None:
-    """Write a site, where the tool works, into a scene file.
+    """Write the site, the place where the tool works, into a scene file.
 
     Raises
     ------
@@ -155,7 +155,7 @@ def schema_text() -> str:
 
 
 def scene_for_editors(name: str) -> str:
-    """Return the TOML text of a built-in scene, with a first line that locates the JSON schema.
+    """Return a built-in scene as TOML text; its first line contains the URL of the JSON schema.
 
     Editors use the schema to complete and check keys. The schema is written to the cache folder,
     and the first line contains the ``file:`` URL of the schema. Taplo, the TOML toolkit of many

@@ -4,6 +4,7 @@ The registries in `tissue.scene.names` state which keys each cutter and probe ha
 """
 
 import math
+from collections.abc import Mapping
 from functools import cache
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -11,7 +12,7 @@ from pydantic import Field, Strict, create_model
 
 from meshes.base.errors import InputError
 from tissue.scene.names import CUTTERS, NEEDLES, PROBES
-from tissue.scene.part import FileName, Needs, OneOf, Part, Vector
+from tissue.scene.part import FileName, Needs, OneOf, Part, Vector, kinds_of
 
 CUTTER_KEYS: dict[str, Any] = {
     "length_mm": (
@@ -80,7 +81,7 @@ USUAL_PROBE_MM = 20.0
 
 
 class Shaped(Part):
-    """Base class of the tool classes that are created from entries of a registry."""
+    """Base class of the tool classes that are made from registry entries."""
 
     kind: str
     """Shape of the tool."""
@@ -91,8 +92,9 @@ class Shaped(Part):
 
 
 class Tool(Shaped):
-    """A rotating cutter with flutes, whose envelope is a surface of revolution. Concave cutters,
-    such as cup reamers for a convex joint head, are not modelled.
+    """A rotating cutter with flutes; its envelope is a surface of revolution.
+
+    Concave cutters, such as cup reamers for a convex joint head, are not modelled.
     """
 
     diameter_mm: float = Field(gt=0.1, le=100, examples=[6.0])
@@ -226,8 +228,8 @@ class Needle(Part):
 class Blade(Part):
     """A thin plate with a straight cutting edge, which cuts soft tissue.
 
-    The tool's x axis and the tool's axis lie in the plane of the blade. The cutting edge begins at
-    the tip.
+    The plane of the blade contains the tool's x axis and z axis (the axis of the tool). The cutting
+    edge begins at the tip.
     """
 
     kind: Literal["blade"] = "blade"
@@ -280,7 +282,9 @@ class PathMotion(Motion):
     points_mm: Annotated[tuple[Vector, ...], Strict(False)] = Field(
         min_length=2, examples=[((0.0, 0.0, 0.5), (0.0, 0.0, -2.0))]
     )
-    """Corners of the tip's path, in the frame of the scene."""
+    """Corners of the tip's path, in the frame of the scene. Consecutive corners must differ. To
+    hold the tool still, use a recorded motion with times (`motion.kind = "replay"`).
+    """
     feed_mm_s: float = Field(gt=0, le=1000, examples=[1.0])
     """Speed of the tip."""
 
@@ -319,3 +323,27 @@ class ReplayMotion(Part):
     """CSV table of poses, such as the trace of a run, or an HDF5 recording of the simulator
     volumetric_drilling.
     """
+
+
+def kept_entries(part: str, table: Mapping[str, object], kind: object) -> dict[str, object]:
+    """Return the entries of a table that are kept if its kind changes.
+
+    They are the entries of a cutter that another kind of cutter has, too, and the axis of a motion.
+    The key ``shell_spacing_mm`` is not kept, because it was chosen for the shape of the old cutter.
+
+    Parameters
+    ----------
+    part
+        Name of the table: ``tool``, ``motion`` or another table, whose entries are not kept.
+    table
+        Table with the old kind.
+    kind
+        New kind.
+    """
+    kinds = {str(table["kind"]), str(kind)}
+    has: set[str] = set()
+    if part == "tool" and all(each in CUTTERS for each in kinds):
+        has = {*Tool.model_fields, *CUTTERS[str(kind)].keys} - {"shell_spacing_mm"}
+    if part == "motion" and kinds == {*kinds_of(PathMotion), *kinds_of(ThrustMotion)}:
+        has = set(Motion.model_fields)
+    return {key: value for key, value in table.items() if key in has}

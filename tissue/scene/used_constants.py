@@ -21,17 +21,17 @@ class Used:
     Attributes
     ----------
     of
-        Table and material of the constant, as text.
+        Text that names the table and the material to which the constant belongs.
     name
         Name of the constant, with its unit.
     cited
-        Value, range, source and confidence: from the file in the scene's key `materials` if it
-        contains the constant, else built-in.
+        Value, range, source and confidence. They come from the file named in the key `materials` if
+        the file contains the constant; otherwise they are built in.
     full
-        Full name ``TABLE.MATERIAL.NAME``. If a layer has a cutting constant of its own, MATERIAL is
-        the layer.
+        Full name ``TABLE.MATERIAL.NAME``. For a cutting constant that belongs to one layer,
+        MATERIAL is the name of the layer.
     stated
-        Value that a key of the scene sets instead of the constant; None without such a key.
+        Value from a scene key that replaces the constant; None if there is no such key.
     """
 
     of: str
@@ -45,7 +45,7 @@ def used_constants(scene: Scene, layers: Sequence[str], *, varied: bool = False)
     """Return the constants of the tissue, the device and the hand of a scene.
 
     If all bone has the reference density, the density exponent has no effect and is left out. With
-    `varied`, the exponent is included, because the reference density is varied too.
+    `varied`, the exponent is included, because the reference density also varies.
     """
     return _used(
         scene.constants,

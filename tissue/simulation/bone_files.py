@@ -86,7 +86,7 @@ def voxel_image(volume: VoxelVolume, remaining: Bytes) -> "pyvista.ImageData":
 
 
 def read_voxels(file: Path, placement: Placement | None = None) -> tuple[VoxelVolume, Bytes]:
-    """Read the voxels from the file ``bone.vti`` of a run, in the frame of the scene.
+    """Read the voxels from the file ``bone.vti`` of a run, and convert them to the scene's frame.
 
     The function returns the volume before the first cut, and the bone left in each voxel at the end
     of the run (255 = full).

@@ -233,7 +233,7 @@ class CarvedSurface:
     Attributes
     ----------
     part
-        Slices that select the voxels for `of` from an array with one value per voxel.
+        Slices of an array with one value per voxel. They select the voxels that `of` needs.
     """
 
     def __init__(self, volume: VoxelVolume, box: Box, *, axis: int) -> None:
@@ -438,9 +438,10 @@ def tool_axes(quaternions: Array) -> Array:
 
 
 def facing(trace: Table) -> tuple[int, int]:
-    """Return the world axis closest to the tool's axis during the cut, and the side of the tool.
+    """Return the world axis closest to the tool's axis, and the side from which the tool comes.
 
-    The side is 1 if the tool comes from the positive end of the world axis, and -1 otherwise.
+    The axis is averaged over the ticks in contact, if there are any. The side is 1 if the tool
+    comes from the positive end of the world axis, and -1 otherwise.
     """
     rows = trace["contact_mm2"] > 0.0
     quaternions = trace.quaternions()

@@ -19,7 +19,7 @@ from tissue.scene.organ import LayersAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, ReplayMotion, ThrustMotion, Tool
 from tissue.simulation.bone_surface import tool_axes
-from tissue.simulation.builders.force_met import chosen_scale, force_met
+from tissue.simulation.builders.force_scale import chosen_scale, expected_force
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.trace import Table
 
@@ -57,6 +57,12 @@ LEAST_DENSE = 0.001
 
 The share was chosen by judgement.
 """
+SHORTEST_RECORDING_MM = 0.5
+"""Extent of a recorded motion along an axis [mm] below which a note suggests to check the unit.
+
+A hand moves a tool farther, and 0.5 m of a motion read in mm instead of m has this extent. The
+value was chosen by judgement.
+"""
 FORWARD = 0.5
 """Smallest ratio of axial travel to travel in a tick that counts as forward motion.
 
@@ -67,7 +73,7 @@ The limit excludes a tool that leaves the bone sideways.
 def findings(
     scene: Scene, parts: Parts, trace: Table, *, path_s: float
 ) -> tuple[dict[str, Any], Events]:
-    """Return the summary entries for the findings of a run, and the break-throughs as events.
+    """Return the findings of a run as summary entries, and the break-throughs as events.
 
     Notes on the findings are added to the notes of `parts`. For ``path_s``, see `shortfalls`.
     """
@@ -78,6 +84,8 @@ def findings(
     found: dict[str, Any] = {}
     if apart_mm is not None:
         found["path_distance_mm"] = apart_mm
+    if "insertion_mm" in trace.columns:
+        found["largest_insertion_mm"] = float(trace["insertion_mm"].max())
     if rise := largest_rise(trace):
         found["largest_rise"] = rise
     cutter = parts.cutter
@@ -121,7 +129,7 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
     # The tolerance is half a tick, because durations are rounded to ticks.
     elif wanted_s >= path_s + 5e-4:
         found["path"] = (
-            f"not finished: the run ends at {path_s:g} s, the motion at {wanted_s:.6g} "
+            f"not finished: the run ends at {path_s:g} s, but the motion ends at {wanted_s:.6g} "
             f"s; set duration_s = {wanted_s:.6g}, or leave duration_s out to run the "
             "whole motion"
         )
@@ -150,6 +158,13 @@ def shortfalls(scene: Scene, parts: Parts, trace: Table, *, path_s: float) -> di
                 f"less than {100.0 * LEAST_DENSE:g} % of the bone in the region reaches {dense:g} "
                 "kg/m3. Thick voxels of a CT blur thin cortical bone; lower "
                 "anatomy.cortical_above_kg_m3, or import a finer CT"
+            )
+    if isinstance(scene.motion, ReplayMotion):
+        extent_mm = 1e3 * float(np.ptp(parts.motion.sweep_m(), axis=0).max())
+        if 0.0 < extent_mm < SHORTEST_RECORDING_MM:
+            found["length of the path"] = (
+                f"the recorded positions span only {extent_mm:.2g} mm; check that the columns of "
+                "motion.file have the units of their names"
             )
     if parts.cutter is None or parts.cutter.spin_rad_s == 0.0:
         return found
@@ -208,7 +223,7 @@ def path_distance_mm(scene: Scene, motion: Motion, trace: Table) -> dict[str, fl
 
 
 def path_note(scene: Scene, parts: Parts, apart_mm: dict[str, float] | None) -> dict[str, str]:
-    """Return a note that suggests smaller scales of the coupling if a hand left its path.
+    """Return a note that suggests smaller force and motion scales if a hand left its path.
 
     The note also appears if the tool came too close to a structure and the distance from the path
     can be the reason. ``apart_mm`` is the result of `path_distance_mm`.
@@ -267,7 +282,7 @@ def _force_scale_note(scene: Scene, apart_mm: float, radius_mm: float) -> str:
         f"Set coupling.force_scale = {smaller:g} instead of {scale:g}"
     )
     friction_N = device_parameters(scene.held.kind, scene.constants).friction_N
-    felt_N = smaller * force_met(scene).force_N
+    felt_N = smaller * expected_force(scene).force_N
     if 0.0 < felt_N < friction_N:
         note += (
             f". The largest force at the device is then {felt_N:.2g} N. The friction of "
@@ -277,7 +292,7 @@ def _force_scale_note(scene: Scene, apart_mm: float, radius_mm: float) -> str:
 
 
 def largest_rise(trace: Table) -> dict[str, str | float | bool]:
-    """Return the largest temperature rise of pulp or bone in a trace; empty without temperatures.
+    """Return the largest temperature rise of pulp or bone; empty if a trace has no temperatures.
 
     The keys are ``tissue``, ``rise_K``, ``time_s`` and ``rising_at_end``.
     """
@@ -328,7 +343,7 @@ def _missed_caries(anatomy: Tooth, parts: Parts) -> str:
 
 
 def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> list[dict[str, float]]:
-    """Return the break-throughs: exits of the tool's tip from bone, forward along its axis.
+    """Return the break-throughs: points where the tool's tip moves forward out of the bone.
 
     The entry ``time_s`` is the time of the first break-through in a hole [s]. The entry
     ``plunge_mm`` is the distance travelled along the axis from the break-through until the tool
@@ -337,8 +352,8 @@ def break_throughs(volume: VoxelVolume, trace: Table, *, radius_m: float) -> lis
 
     The surface of the bone is where the interpolated content of voxels before the run is one half.
     The time of an exit is interpolated between ticks. Each hole counts as one break-through. An
-    exit belongs to an earlier hole if the tool has occupied its place before: the place was behind
-    the tip, and closer to the tool's axis than the radius of the tool.
+    exit belongs to an earlier hole if its position was inside the tool before. This means that it
+    was behind the tip, and closer to the tool's axis than the tool's radius.
 
     Parameters
     ----------

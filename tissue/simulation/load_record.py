@@ -67,7 +67,7 @@ run of an hour in one layer of constant density.
 
 @dataclass(frozen=True, eq=False)
 class LayerLoads:
-    """Loads of unit forces per length in one layer that the tool engaged.
+    """Loads on the tool under unit forces per edge length, in one layer that the tool engaged.
 
     Attributes
     ----------
@@ -76,9 +76,9 @@ class LayerLoads:
     chips_m
         Values of chip thickness at which loads are recorded (chip nodes) [m], shape (k,).
     unit
-        Loads of a unit force per length of edge, shape (nodes, 3 k, n, 6). The axes are the density
-        nodes, three directions at each of k chip nodes, n ticks, and the components of force and
-        torque.
+        Force and torque under a unit force per edge length, shape (nodes, 3 k, n, 6). The axes are
+        the density nodes, three directions at each of k chip nodes, n ticks, and the components of
+        force and torque.
     """
 
     nodes: DensityNodes
@@ -86,7 +86,7 @@ class LayerLoads:
     unit: Array
 
     def values(self, coefficients: CuttingCoefficients) -> Array:
-        """Return the force per length of edge at the chip nodes [N/m], shape (3 k,)."""
+        """Return the force per edge length at the chip nodes [N/m], shape (3 k,); see `chips_m`."""
         basis, values = self._basis(coefficients)
         return values @ basis
 
@@ -172,7 +172,8 @@ class LoadRecord:
         coefficients
             Coefficients of each layer, in the order of `layer_names`.
         density_factors
-            Factors, shape (layers,), by which the density of each layer is multiplied; None for 1.
+            Factors, shape (layers,), by which the density of each layer is multiplied; if None, all
+            factors are 1.
         """
         loads = np.zeros((len(self.times_s), 6))
         for at, weights in self.weights(coefficients, density_factors).items():
@@ -183,7 +184,7 @@ class LoadRecord:
     def weights(
         self, coefficients: tuple[CuttingCoefficients, ...], density_factors: Array | None = None
     ) -> dict[int, Array]:
-        """Return the factors, shape (nodes * 3 k,), of the unit loads of each layer.
+        """Return the factors that multiply the unit loads of each layer, shape (nodes * 3 k,).
 
         The result has the same keys as the attribute `layers`.
 
@@ -229,7 +230,7 @@ def _strengths(layer: LayerLoads, coefficients: CuttingCoefficients, factor: flo
 
 
 def why_not_linear(scene: Scene) -> str:
-    """Return the reason why loads are not linear in the cutting coefficients; empty if they are.
+    """Return the reason why loads are nonlinear in the cutting coefficients, or an empty text.
 
     For linear loads, one run of the scene is enough to compute the loads for other coefficients.
     """
@@ -272,8 +273,8 @@ def record_loads(
     scene
         Scene in which a cutter mills bone or tooth on a given path.
     motion
-        Motion of the tool that replaces the motion of the scene and is run to its end. The motion
-        must not depend on the force.
+        Tool motion that is used, up to its end, instead of the motion of the scene. The motion must
+        not depend on the force.
     every
         Interval between two recorded ticks [ticks].
     compute, cores, progress
@@ -377,9 +378,9 @@ def _recorded(
     loop.place()
     with undisturbed():
         for tick in range(ticks):
-            bone.asked = tick % every == 0
+            bone.computes_loads = tick % every == 0
             loop.step()
-            if bone.asked:
+            if bone.computes_loads:
                 engaged[tick // every] = bone.engaged_m2
                 for all_ticks, each in zip(unit, bone.unit_loads, strict=True):
                     all_ticks[:, :, tick // every] = each

@@ -119,7 +119,7 @@ class Stepper:
         Call this before the first tick. If `resume` is True, the tissue keeps the state that it has
         from another loop, which must have ended at the same pose.
         """
-        self._motion.meet(self._tissue)
+        self._motion.set_tissue(self._tissue)
         self._motion.begin(self.tool)
         if not resume:
             self._tissue.place(self.tool)
@@ -127,7 +127,7 @@ class Stepper:
         return self._tissue.respond(self.tool)
 
     def wait(self, index: int) -> None:
-        """Wait for work in the background whose result is needed at a tick."""
+        """Wait for the background work whose result is needed at a tick."""
         if self._waits is not None:
             self._waits.wait_for_background(index * TICK_S)
 
@@ -187,7 +187,7 @@ class Stepper:
         put_back(self, state["own"])
 
     def start_background(self, index: int) -> None:
-        """Start work in the background that follows a tick."""
+        """Start the background work that must follow a tick."""
         if self._starts is not None:
             self._starts.start_background(index * TICK_S, self.tool)
 
@@ -220,7 +220,7 @@ def undisturbed() -> Iterator[None]:
 
 
 class Loop:
-    """Loop of a run in ticks of 1 ms, which also processes and records the forces.
+    """Loop that advances a run in ticks of 1 ms, and processes and records the forces.
 
     All memory that a tick needs is allocated once, when the loop is made.
 
@@ -306,7 +306,7 @@ class Loop:
         self._record(self.trace.rows[0], 0, response)
 
     def wait(self) -> None:
-        """Wait for work in the background whose result is needed at the next tick."""
+        """Wait for the background work whose result is needed at the next tick."""
         self._stepper.wait(self.ticks)
 
     def step(self) -> int:
@@ -406,7 +406,7 @@ class Loop:
         row[self._loads[np.abs(row[self._loads]) < LEAST_LOAD]] = 0.0
 
     def finish(self) -> None:
-        """Complete the tissue's work that is spread over ticks, and remove unused table rows."""
+        """Complete the work that the tissue has postponed, and remove unused table rows."""
         self.trace.rows = self.trace.rows[: self.ticks]
         self.timing.rows = self.timing.rows[: self.ticks]
         if isinstance(self.parts.tissue, Finishes):

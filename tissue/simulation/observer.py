@@ -159,8 +159,8 @@ class Paced(RunObserver):
 class Prioritised(RunObserver):
     """Observer that raises the priority of the thread that runs the ticks, until the run ends.
 
-    The priority is restored earlier if the ticks use more than the share `FULL` of the time.
-    Otherwise the system would stop the thread, for longer than the delays at an ordinary priority.
+    The priority is restored earlier if the ticks use more than the share `FULL` of the time. The
+    system would otherwise stop the thread for longer than the delays at an ordinary priority.
 
     Attributes
     ----------

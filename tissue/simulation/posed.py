@@ -13,9 +13,11 @@ from tissue.models.state import State, fingerprint
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.motion import Motion
 from tissue.motion.posed import PosedTool, pose_in
+from tissue.scene.anatomy import WallAnatomy
+from tissue.scene.organ import IncisedAnatomy, LayersAnatomy
 from tissue.scene.scene import Output, Scene, without_fields
 from tissue.simulation import loop as engine
-from tissue.simulation.builders.parts import Parts, motion_of
+from tissue.simulation.builders.parts import Parts, motion_of, require_no_pause
 from tissue.simulation.simulate import builder_of
 
 ACROSS = 5
@@ -34,7 +36,7 @@ WIDER = "use a larger reach_mm"
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """State of a session, for pickling and for restoring it later.
+    """State of a session, which can be pickled and restored later.
 
     The state can be restored in any session that was made with equal arguments.
 
@@ -71,7 +73,7 @@ class Region:
         Coordinates of two corners of the box along these axes [m], shape (3,) each. The tip may not
         leave the box, except at its top, where the box is open.
     deeper
-        Advice in the event for a tip below the box.
+        Advice that the event reports if the tip is below the box.
     """
 
     rotation: Array
@@ -148,7 +150,9 @@ def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Par
         As for `tissue.simulation.simulate.build`.
     """
     left_out = {"device": None, "stress": None, "heat": False, "fidelity": None}
+    unused = [name for name, value in left_out.items() if getattr(scene, name) != value]
     scene = without_fields(scene.model_copy(update=left_out))
+    require_no_pause(scene)
     motion = _Widened(motion_of(scene), reach_m)
     parts = builder_of(scene.anatomy.kind)(
         scene, motion, step_s=TICK_S, compute="cpu", cores=cores, report=lambda what, share: None
@@ -157,6 +161,15 @@ def posed_parts(scene: Scene, *, reach_m: float, cores: int | None) -> tuple[Par
         "the tissue is prepared along the path of the scene, to the depth of the path, and "
         f"{1e3 * reach_m:g} mm to its sides"
     )
+    if isinstance(scene.anatomy, LayersAnatomy | IncisedAnatomy | WallAnatomy):
+        parts.notes["reach"] += (
+            ". This tissue is a half-space, so its force is also valid outside this region"
+        )
+    if unused:
+        parts.notes["not used"] = (
+            f"{', '.join(unused)} of the scene, because a program moves the tool and only the "
+            "force is computed"
+        )
     return parts, Region.of(motion)
 
 

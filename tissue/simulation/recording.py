@@ -38,10 +38,10 @@ ABOUT = (
     "The anatomy's origin lies in the middle of the block of voxels, whose axes are the world's.\n"
 )
 ABOUT_VOXELS = (
-    "A row of voxel_removed is the place of its time in voxel_time_stamp, then the voxel's "
-    "index along x, y and z; a\n"
-    "row of voxel_color that place, then red, green, blue (by density) and alpha (bone "
-    "before the cut), 0 to 255.\n"
+    "A row of voxel_removed has the row of its time in voxel_time_stamp, then the voxel's "
+    "index along x, y and z. A\n"
+    "row of voxel_color has the row of its time, then red, green, blue (from the density) and "
+    "alpha (bone before the cut), 0 to 255.\n"
     "Removal is fractional: a voxel is removed in the tick in which less than half of it is left.\n"
 )
 
@@ -58,7 +58,7 @@ def write_formats(run: CarvedRun, folder: Path, formats: Iterable[str]) -> None:
 def write_recording(run: CarvedRun, path: Path) -> None:
     """Write a run in the file layout of volumetric_drilling's recorder.
 
-    The layout follows version 3 of the note on data in volumetric_drilling.
+    The layout follows version 3 of the note on data in the repository volumetric_drilling.
 
     Data that a run does not have are left out. The recorder of volumetric_drilling also leaves out
     missing data. Images and camera are always left out. If the tool does not cut, voxels and burr

@@ -55,7 +55,7 @@ PROMPT: dict[str, object] = {
 
 
 def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Scene:
-    """Return a copy of a scene with the finest model, without latency and filters.
+    """Return a copy of a scene that has the finest tissue model, no latency and no filters.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Sce
 def ideal_force_N(
     run: Run, finest: Mapping[str, object] | None = None, *, cores: int | None = None
 ) -> Array:
-    """Compute the force of a loop without latency for the device motion of a run.
+    """Compute the force that a loop without latency would give for the device motion of a run.
 
     The result is the force in each tick [N], shape (n, 3). This ideal loop has the finest model and
     no filters; see `ideal_scene`. The device moves as in the run, so the force does not include the
@@ -149,10 +149,10 @@ def rendered_force_N(parts: Parts, ticks: int) -> Array:
 def stretch_force_N(run: Run) -> Array:
     """Compute the force of the coupling spring in each tick of a run [N], shape (n, 3).
 
-    The result is the force that the run would have without latency, with its own encoder positions
-    and model. For a cutting tool, the estimate of the position observer replaces the encoder
-    position; see `WallLoop.observes`. If the tissue model responds in every tick, a predictor
-    receives this force.
+    The result is the force that the run would have without latency, computed from the run's encoder
+    positions and tissue model. For a cutting tool, the estimate of the position observer replaces
+    the encoder position; see `WallLoop.observes`. If the tissue model responds in every tick, a
+    predictor receives this force.
 
     Raises
     ------
@@ -200,12 +200,13 @@ class MotorForces(NamedTuple):
     ideal
         Force without latency at the true device position.
     nearest
-        Force at the motor for a perfect prediction of the result of `stretch_force_N`. The error of
-        this force is the lower bound for forces that are computed from the encoder positions. The
-        force of a run may still have a smaller error if the run smooths the encoder steps more.
+        Force at the motor if the predictor predicted the result of `stretch_force_N` perfectly. The
+        error of this force is the lower bound for forces that are computed from the encoder
+        positions. The force of a run may still have a smaller error if the run smooths the encoder
+        steps more.
     sent
-        Force that the device received, after compression to the device's range and scaling for a
-        person.
+        Force that the device received, after compression to the device's range and perceptual
+        scaling.
     """
 
     played: Array
@@ -218,13 +219,14 @@ class MotorForces(NamedTuple):
 def motor_forces(run: Run, ideal_N: Array | None = None) -> MotorForces:
     """Compute the force at the motor of a device in a run, and reference forces.
 
-    The reference force `ideal` has no latency, no encoder steps and no filters. It is computed for
-    the device motion of the run.
+    The reference force `ideal` has no latency, no encoder steps and no filters. It is computed as
+    if the device moved exactly as in the run.
 
     Parameters
     ----------
     run
-        Run with a simulated hand that was simulated in this process and not read from a folder.
+        Run with a simulated hand. The run must have been simulated in this process, not read from a
+        folder.
     ideal_N
         Result of `ideal_force_N`. If it is not given, the scene is simulated again.
 

@@ -20,7 +20,7 @@ from tissue.models.tissue_model import TICK_S, HasHeat, HasSummary, HasVoxels
 from tissue.motion.motion import Events
 from tissue.scene.scene import Scene
 from tissue.scene.tool import Tool
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.builders.parts import Parts
 from tissue.simulation.run_folder import (
     FORMAT,
@@ -48,8 +48,8 @@ Part = TypeVar("Part")
 class Run:
     """Run that was just simulated, or read from a folder by `load`.
 
-    Data of a run from a folder are read at their first use. If the folder does not contain the
-    data, an `InputError` is raised.
+    If a run is read from a folder, its data are read when they are first used. If the folder does
+    not contain the data, an `InputError` is raised.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class Run:
         Function that draws the pictures of the run into a folder in a given format, and returns a
         sentence for each picture that could not be drawn. `tissue.simulate` sets this attribute.
     findings
-        Entries of the summary on the findings of the run, see `tissue.simulation.findings`.
+        Findings of the run, as entries of its summary, see `tissue.simulation.findings`.
     """
 
     path: Path | None = None

@@ -128,7 +128,7 @@ def run_file_names() -> tuple[str, ...]:
 
 
 def picture_format(pictures: bool | str) -> str | None:
-    """Return the format of pictures: the given format, PNG for True, None for False.
+    """Return the format of pictures: the given format, PNG if `pictures` is True, None if False.
 
     Raises
     ------
@@ -336,7 +336,7 @@ def _saved_scene(file: Path) -> Scene:
 def saved_placement(path: Path) -> Placement | None:
     """Return the pose of the scene in the frame in which a run wrote its bone and field files.
 
-    The result is None if both frames are the same.
+    The result is None if the files are in the frame of the scene.
 
     Raises
     ------
@@ -418,7 +418,7 @@ def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> 
 
 
 def summary_of(folder: Path) -> Summary:
-    """Return the summary of a folder without checks; empty if it is missing or invalid."""
+    """Return the summary in a folder without validating it; empty if it is missing or invalid."""
     return _table_of(folder) or {}
 
 

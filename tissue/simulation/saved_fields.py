@@ -57,7 +57,7 @@ STRESS = "von_mises_"
 
 
 def field_label(name: str) -> tuple[str, str]:
-    """Return words and unit of a field or column, such as ``("von Mises", "kPa")``.
+    """Return readable name and unit of a field or column, such as ``("von Mises", "kPa")``.
 
     The example is for the name ``von_mises_kPa``. For a name without a unit, the unit is an empty
     text.
@@ -161,7 +161,7 @@ class SavedFields:
 
     @property
     def frames(self) -> list[Any]:
-        """Undeformed meshes of all frames [mm], in the frame of the scene.
+        """Undeformed meshes of all frames [mm], in the coordinate frame of the scene.
 
         The meshes are read at their first use.
         """

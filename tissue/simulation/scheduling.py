@@ -92,7 +92,7 @@ class Scheduling:
         Parameters
         ----------
         ticks_s
-            Time in which a scheduling gap can delay a tick [s].
+            Total time during which a scheduling gap would delay a tick [s].
         """
         before = self._before
         after = self._after

@@ -32,6 +32,7 @@ from tissue.simulation.builders.parts import (
     TissueBuilder,
     motion_of,
     require_device,
+    require_no_pause,
     require_stated_rate,
 )
 from tissue.simulation.builders.prediction import ADAPTIVE
@@ -217,6 +218,7 @@ def _require_runnable(
             "fidelity in their place",
             "use tissue.simulate, which chooses the settings",
         )
+    require_no_pause(scene)
     if device is None:
         return
     require_device(device.device if isinstance(device, SafeDevice) else device)
@@ -346,7 +348,7 @@ def _training_note(scene: Scene) -> dict[str, str]:
         return {}
     return {
         "predictor": f"trained on the built-in scene {scene.name}, which differs in "
-        f"{', '.join(other)}. Train one for this scene with 'tissue train', and set "
+        f"{', '.join(other)}. Train a predictor for this scene with 'tissue train', and set "
         "coupling.predictor_file to its file"
     }
 
@@ -354,7 +356,8 @@ def _training_note(scene: Scene) -> dict[str, str]:
 def tick_count(scene: Scene, motion: Motion) -> int:
     """Return the number of ticks of a run.
 
-    If the run contains the whole motion, additional time for the delay of a hand is included.
+    If the run contains the whole motion, time is added because a hand follows the motion with a
+    delay.
     """
     seconds = scene.duration_s or motion.duration_s
     if seconds > LONGEST_S:

@@ -170,9 +170,9 @@ class TraceLayout:
         Indices of the columns of each quantity. The keys are ``time``, ``tip``, ``quaternion``,
         ``velocity``, ``spin``, ``commanded``, ``wrench``, ``removal_rate``, ``removed``,
         ``removed_by_layer``, ``contact``, ``tissue_measures``, ``motion_measures``,
-        ``clear_measures`` and ``layer``. The forces and torques are ``commanded`` to the device, or
-        computed by the model (``wrench``). ``clear_measures`` are the distances to structures that
-        must not be touched.
+        ``clear_measures`` and ``layer``. ``commanded`` are the forces and torques commanded to the
+        device. ``wrench`` are the force and torque that the model computes. ``clear_measures`` are
+        the distances to structures that must not be touched.
     """
 
     columns: tuple[str, ...]
@@ -237,7 +237,7 @@ def check_format(kind: str) -> None:
 
 
 def write_columns(columns: Columns, path: Path) -> None:
-    """Write columns to a file in the format of its suffix, one of `FORMATS`."""
+    """Write columns to a file; the file suffix, one of `FORMATS`, determines the format."""
     with whole_file(path) as temporary:
         FORMATS[path.suffix.lower().removeprefix(".")](columns, temporary)
 

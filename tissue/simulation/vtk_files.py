@@ -171,7 +171,7 @@ def read_collection(index: Path) -> list[tuple[float, int, str]]:
 
 
 def frame_mesh(series: FieldSeries, frame: Frame) -> "pyvista.UnstructuredGrid":
-    """Return the mesh of one frame [mm], without removed cells and unused nodes.
+    """Return the mesh at the time of one frame [mm], without removed cells and unused nodes.
 
     The cell array ``layer`` contains indices into the field ``layer_names``. The other arrays have
     the names of the fields of the frame.

@@ -9,8 +9,8 @@ from threadpoolctl import ThreadpoolController
 def one_blas_thread() -> AbstractContextManager[object]:
     """Return a context manager in which NumPy and SciPy use one thread for linear algebra.
 
-    If other programs use the cores, threads that share small matrix products wait for each other.
-    The products then take ten times as long or more.
+    If other programs also use the cores, threads that share a small matrix product wait for each
+    other. The products then take ten times as long or more.
     """
     return _thread_pools().limit(limits=1, user_api="blas")
 

@@ -43,7 +43,7 @@ A process that waits, and checks whether its parent process has ended, uses less
 
 
 class HelperLostError(RuntimeError):
-    """Error if a helper process has ended, was stopped or hangs.
+    """Error for a helper process that has ended, was stopped or hangs.
 
     The message is part of a sentence, which the caller completes.
     """
@@ -59,7 +59,7 @@ def child_command(module: str, *arguments: str) -> list[str]:
 
 
 def process_module(name: str) -> str:
-    """Return the module that a process of a live run executes, by its name such as ``window``.
+    """Return the module that a live-run process with a name such as ``window`` executes.
 
     The modules are entry points of the group ``tissue.processes``.
 
@@ -88,10 +88,10 @@ def end_with(parent: int, *, strictly: bool) -> None:
     parent
         Id of the process that started this process.
     strictly
-        True to let the operating system end this process as well, where this is supported (Linux).
-        The system then ends this process even if it was stopped by a signal. The system also ends
-        this process if the thread that started it ends. That thread must therefore live as long as
-        the parent process.
+        True to make the operating system end this process, in addition to the check in this process
+        (Linux only). The system then ends this process even while a stop signal suspends it. The
+        system also ends this process if the thread that started it ends. That thread must therefore
+        live as long as the parent process.
     """
     if strictly:
         kill_with_parent()
@@ -116,9 +116,9 @@ def _await_end(parent: int) -> None:
 class HangDetector:
     """Detector for hanging processes.
 
-    The detector reports if the processes were idle for `IDLE_S`, or have taken longer than
-    `longest_s`. It counts checks instead of reading a clock, so that time in which this process was
-    stopped is not included.
+    The detector reports a hang if the processes were idle for `IDLE_S`, or have taken longer than
+    `longest_s`. It counts checks instead of reading a clock, so time during which this process is
+    suspended does not count.
 
     Parameters
     ----------
@@ -172,11 +172,12 @@ def await_ready(
     longest_s
         Longest waiting time [s].
     closes_s
-        Longest time that the process may take to end after it has printed another first line [s].
+        Longest time [s] that the process may take to end if its first line does not start with
+        ``ready``.
 
     Returns
     -------
-    The text after ``ready``, and None. If the process does not become ready: an empty text, and the
+    The text after ``ready``, and None. If the process does not become ready, an empty text, and the
     reason as part of a sentence. The reason is an empty text if the process has ended by itself.
     """
     stdout = child.stdout
@@ -231,8 +232,8 @@ def own_process(*, beside_ticks: bool) -> TextIO:
     """Prepare this process for drawing or publishing a run; return its standard output.
 
     Other output of the process goes to standard error. The parent process decides when this process
-    ends, so Ctrl-C is ignored. With `beside_ticks`, the process gets a lower priority and draws
-    with one thread, because software OpenGL would otherwise use all cores.
+    ends, so Ctrl-C is ignored. With `beside_ticks` (another process computes ticks), this process
+    gets a lower priority and draws with one thread. Otherwise, software OpenGL would use all cores.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if beside_ticks:
@@ -275,8 +276,8 @@ class Helper:
     module
         Module that the helper runs.
     does
-        Task of the helper, as a verb phrase for error messages: ``solves the stress`` in "the
-        process that solves the stress".
+        Task of the helper, as a verb phrase for error messages. Example: ``solves the stress``
+        gives "the process that solves the stress".
 
     Attributes
     ----------

@@ -62,7 +62,7 @@ def draw_apart(
 
     Returns
     -------
-    None on success. Otherwise part of a sentence with the reason of the failure and the remedy.
+    None on success. Otherwise the reason of the failure and the remedy, as part of a sentence.
 
     Raises
     ------
@@ -179,7 +179,7 @@ def display_problem() -> str | None:
 
 
 def await_display() -> str | None:
-    """Wait until a display answers, then return the result of `display_problem`.
+    """Wait until the display responds, then return the result of `display_problem`.
 
     Raises
     ------
@@ -250,7 +250,7 @@ def _library(name: str) -> ctypes.CDLL | None:
 def quiet_without_display() -> Iterator[None]:
     """Restrict VTK's output to errors if no display is set.
 
-    Otherwise, VTK would warn about the missing display, although it can draw without one.
+    Without this, VTK would warn about the missing display, although it can draw without one.
     """
     if os.environ.get("DISPLAY"):
         yield

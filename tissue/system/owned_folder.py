@@ -67,7 +67,7 @@ class OwnedFolder:
 
     Each file is listed in the marker file before it is written. Only listed files are replaced or
     removed. While the folder is locked, `whole_file` calls `claim` before it writes a file. `claim`
-    raises an error for a file of the user.
+    raises an error for an existing file that tissue did not write.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class OwnedFolder:
     kind
         Kind of output, such as ``run``. It is written to the marker file and used in messages.
     names
-        Names of the files that may be written, relative to the folder, with wildcards of
+        Names of the files that may be written: paths relative to the folder, with wildcards as in
         `Path.glob`.
     overwrite
         True to remove the files of an earlier output of this kind.
@@ -131,7 +131,7 @@ class OwnedFolder:
         OWNERS.add(self)
 
     def depth(self, path: Path) -> int:
-        """Return the number of parts of the folder's path if `path` is in the folder, else 0."""
+        """Return the number of path parts of this folder if the folder contains `path`, else 0."""
         return (
             len(self._place.parts) if Path(os.path.abspath(path)).is_relative_to(self._place) else 0
         )
@@ -227,7 +227,7 @@ def require_folder(
 
 
 def require_listed(path: Path, kind: str, name: str) -> None:
-    """Check that a file may be replaced, also in a folder that another process has locked.
+    """Check that a file may be replaced, even if another process has locked the folder.
 
     Raises
     ------
@@ -319,7 +319,7 @@ def _foreign(path: Path, name: str, files: Mapping[str, set[str]]) -> InputError
 
 
 class OutputLock:
-    """Exclusive lock on an output folder or file; it ends with `release` or with this process.
+    """Exclusive lock on an output folder or file, held until `release` or the end of this process.
 
     Parameters
     ----------
@@ -439,7 +439,7 @@ def _let_go(file: TextIO, path: Path, made: list[Path]) -> None:
 
 
 def identity() -> dict[str, int | float | str]:
-    """Return id, start time [s since 1970] and computer of this process."""
+    """Return the id and start time [s since 1970] of this process, and the name of its computer."""
     import psutil
 
     return {

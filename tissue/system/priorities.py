@@ -32,13 +32,13 @@ USUAL = "ordinary priority"
 
 
 class TickPriority:
-    """Priority of the calling thread, raised while ticks are computed and restored afterwards.
+    """Raised priority of the calling thread while ticks are computed, restored by `end`.
 
     On Linux, the thread gets a real-time priority (SCHED_FIFO), which needs the permission
     ``rtprio`` in /etc/security/limits.conf. Without this permission, the thread gets a niceness
     below 0. Threads and processes that the thread starts do not inherit the real-time priority. On
     Windows, the whole process gets a high priority. On macOS, the thread gets the
-    quality-of-service class of user interaction. If the system refuses a setting, `granted` reports
+    quality-of-service class "user interactive". If the system refuses a setting, `granted` reports
     this and the run continues.
 
     Attributes
@@ -192,10 +192,10 @@ def may_return_from_idle() -> bool:
 class BackgroundPriority:
     """Priority of a background process relative to the thread that computes the ticks.
 
-    After `step_back`, the main thread of the process has idle priority and does not use the core of
-    the ticks. After `hurry`, it has normal priority, because the ticks wait for a result of the
+    After `step_back`, the main thread of the process has idle priority and avoids the core on which
+    the ticks run. After `hurry`, it has normal priority, because the ticks wait for a result of the
     process. If the system does not let a thread leave the idle priority, the main thread always has
-    the lowest ordinary priority instead. Settings that the system refuses or does not have are
+    the lowest ordinary priority instead. Settings that the system refuses or does not support are
     skipped.
 
     Parameters

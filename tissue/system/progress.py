@@ -37,7 +37,7 @@ def in_notebook() -> bool:
 
 @contextmanager
 def reporting(wanted: Bar) -> Iterator[Progress]:
-    """Yield a function that reports progress: the given function, one for a bar, or a no-op."""
+    """Yield a progress function: the given function, one that updates a bar, or a no-op."""
     if callable(wanted):
         yield wanted
     elif in_notebook() and wanted is not False:
@@ -88,7 +88,7 @@ class Remaining:
         """Return the remaining time as text; empty if it cannot be estimated yet.
 
         `share` is the completed share of the work, 0 to 1. The pace is measured from the first
-        reported share, which is above zero if an interrupted command continues. If the share
+        reported share. This share is above zero if an interrupted command continues. If the share
         decreases, a new stage has begun and the measurement restarts.
         """
         now_s = perf_counter()

@@ -50,13 +50,14 @@ class Terminated(KeyboardInterrupt):
 
 @contextmanager
 def terminated_as_exception() -> Iterator[None]:
-    """Inside the ``with`` block, raise `Terminated` in the main thread on a signal in `STOPS`.
+    """Raise `Terminated` in the main thread if a signal in `STOPS` arrives in the ``with`` block.
 
     In threads other than the main thread, the context manager has no effect. Native code, for
     example in pydantic, may convert the exception to another error. After a stop signal or Ctrl-C,
     any error that leaves the block is therefore replaced by the exception for the signal. Python
-    drops exceptions in some callbacks, such as callbacks of weak references, and the package
-    `CATCHES_ALL` catches all exceptions. In both cases, the signal is sent again shortly after.
+    drops exceptions in some callbacks, such as those of weak references, and the package named by
+    `CATCHES_ALL` catches all exceptions. If an exception is lost, the signal is sent again shortly
+    afterwards.
     """
     received: list[KeyboardInterrupt] = []
 
@@ -124,7 +125,7 @@ def interrupt_is_free() -> bool:
 def signals_handled(
     numbers: tuple[int, ...], handler: Callable[[int, FrameType | None], None] | signal.Handlers
 ) -> Iterator[None]:
-    """Set a handler for signals inside the ``with`` block; no effect outside the main thread.
+    """Set a handler for signals inside the ``with`` block; do nothing outside the main thread.
 
     With `signal.SIG_DFL` the operating system ends the process.
 
@@ -163,7 +164,7 @@ def _send(number: int) -> None:
 
 
 def returned_within(seconds: float, call: Callable[[], object]) -> bool:
-    """Run a function; return True if it has returned without an error within a time [s].
+    """Run a function; return True if it returns without an error within the given time [s].
 
     The function runs in a thread, which is abandoned if the function takes longer.
     """

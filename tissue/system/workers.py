@@ -150,10 +150,10 @@ def finished(
     scheduler: str | None,
     report: Callable[[str], None],
 ) -> Iterator[list[tuple[Job, Result | Exception]]]:
-    """Run jobs in other processes; yield lists of pairs of a finished job and its result.
+    """Run jobs in other processes; yield lists of pairs (finished job, result).
 
     If a worker crashes, it is replaced and its jobs are run again. If a job raises an error or
-    always crashes its worker, its result is the error.
+    crashes its worker each time, the error is returned as its result.
 
     Parameters
     ----------
@@ -162,8 +162,8 @@ def finished(
     jobs
         Jobs to run: arguments of `work`, hashable and distinct.
     workers, scheduler
-        Number of local processes, and address of a Dask scheduler to use instead, or None. See
-        `executor`.
+        Number of local processes, and the address of a Dask scheduler that replaces them, or None.
+        See `executor`.
     report
         Function that is called with the reason if workers crash.
 
@@ -248,7 +248,7 @@ LOST = (BrokenExecutor, CancelledError, ConnectionError, TimeoutError)
 def executor(
     workers: int, scheduler: str | None, *, patience_s: float
 ) -> AbstractContextManager[Executor]:
-    """Return an executor with processes of this computer or workers of a Dask scheduler.
+    """Return an executor that uses processes on this computer or workers of a Dask scheduler.
 
     Parameters
     ----------

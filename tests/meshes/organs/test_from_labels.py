@@ -86,7 +86,7 @@ def test_parts_may_touch_lie_in_each_other_and_reach_the_surface(tmp_path):
         assert found[name] == pytest.approx(
             1.5e-3 * np.count_nonzero(labels.image.values == number), rel=0.04
         ), name
-    assert "of its surface is that of organ" in notes["vessel"]
+    assert "of its surface belongs to the surface of organ" in notes["vessel"]
     assert "of its surface" not in notes["tumour"]
     touching = set(mesh.cells[mesh.part == mesh.part_names.index("core")].ravel())
     assert touching & set(mesh.cells[mesh.part == mesh.part_names.index("tumour")].ravel())

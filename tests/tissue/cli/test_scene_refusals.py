@@ -5,6 +5,8 @@ from types import SimpleNamespace
 import pytest
 from coarse_run import COARSE
 
+from meshes.base.errors import InputError
+from tissue import Loop
 from tissue.scene.load import scene_text
 
 
@@ -41,6 +43,11 @@ from tissue.scene.load import scene_text
         ("motion.points_mm=[[0,0,nan],[1,1,1]]", "motion.points_mm", "[[0, 0, nan], [1, 1, 1]]"),
         ('motion.points_mm=[[0,0,"a"],[1,1,1]]', "motion.points_mm", "[[0, 0, a], [1, 1, 1]]"),
         ("motion.points_mm=[[1,1,1],[1,1,1]]", "motion.points_mm", "only one"),
+        (
+            "motion.points_mm=[[0,0,1],[0,0,-1],[0,0,-1],[0,0,1]]",
+            "motion.points_mm",
+            "(0, 0, -1) as points 2 and 3. Remove one of them. A pause of the tool needs",
+        ),
         ("motion.axis=[0,1]", "motion.axis", "[0, 1]"),
         ("motion.axis=[0,0,0]", "motion.axis", "(0, 0, 0)"),
         ("anatomy.size_mm=[0,1,1]", "anatomy.size_mm", "[0, 1, 1]"),
@@ -156,3 +163,25 @@ def test_a_refused_key_of_a_needle_names_the_needle_and_its_constants(refused):
         "needle.liver.linear_N_mm, in the file that materials names, or remove organ.young_kPa"
     ) in message
     assert "anatomy.kind" not in message
+
+
+def test_structures_of_a_needle_are_refused_with_the_way_to_their_distances(refused, here):
+    message = refused("run", "needle", "--set", "keep_clear.files.vessel=vessel.stl")
+    assert message.startswith("keep_clear.files must be left out for a needle, which cuts neither")
+    assert "deflection_mm" in message and "anatomy.kind" not in message
+    with pytest.raises(InputError, match="keep_clear must be left out for a needle, got"):
+        Loop("needle", keep_clear={"vessel": "vessel.stl"})
+
+
+def test_a_constant_as_a_key_is_refused_with_the_place_of_constants(refused):
+    message = refused("run", "needle", "--set", "needle.liver.linear_N_mm=0.2")
+    assert message.startswith("needle.liver.linear_N_mm is not a known key of a scene. Write")
+
+
+def test_a_constant_that_does_not_fit_a_built_in_constant_is_refused_with_both(refused, here):
+    entry = 'value = 20\nrange = [15, 25]\nsource = "own"\nconfidence = "M"\n'
+    (here / "own.toml").write_text(f"[needle.liver.sliding_in_N_m]\n{entry}")
+    message = refused("run", "needle", "--set", "materials=own.toml")
+    assert message.startswith(
+        "static_in_N_m (built-in value) must be at least sliding_in_N_m (20), got 18.45."
+    )

@@ -48,7 +48,10 @@ def test_a_label_to_keep_clear_of_is_measured_on_the_run(ct, tmp_path):
         "motion.points_mm": [[0, 0, 1], [0, 0, -2]],
         "motion.feed_mm_s": 40.0,
     }
-    assert "facial nerve: 2 pieces of 0.269, 0.116 ml, all of them kept clear of" in made.sentences
+    assert (
+        "facial nerve: 2 pieces of 0.269, 0.116 ml, all of them structures to keep clear of"
+        in made.sentences
+    )
     run = tissue.simulate(tissue.load_scene(made.scene, coarse))
     tip = run.trace.vectors("tool", "mm")[-1]
     # The burr's ball has a radius of 2 mm; the nerve's, of 3 mm, lies 5 mm aside and 4 mm under the
@@ -112,7 +115,7 @@ def tooth(folder):
 def test_a_tooth_of_labels_is_drilled_over_its_largest_lesion(tmp_path):
     file = tooth(tmp_path)
     made = tissue.import_ct(file, tmp_path / "out", labels=file, site="tooth:lesion")
-    assert "12.5 mm3; the second has 2.0% of it" in " ".join(made.sentences)
+    assert "12.5 mm3; the second lesion has 2.0% of its volume" in " ".join(made.sentences)
     scene = tissue.load_scene(
         made.scene, {"voxels.spacing_mm": 0.25, "motion.feed_mm_s": 20.0, "duration_s": 0.15}
     )

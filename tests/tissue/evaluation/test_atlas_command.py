@@ -8,7 +8,7 @@ import numpy as np
 def test_an_atlas_of_two_pages_is_written_whole(command, here):
     code, out, error = command("stability", "--only", "wild_input", "--only", "bad_tetrahedra")
     assert (code, error) == (0, "")
-    assert "2 of 2 pages show their boundary" in out
+    assert "2 of 2 pages show the limit of their method" in out
     folder = here / "atlas"
     html = (folder / "index.html").read_text("utf-8")
     assert html.startswith("<!doctype html>") and html.count("<section") == 2

@@ -34,7 +34,7 @@ def answer_with(share):
 def test_all_right_only_bounds_the_threshold():
     session = answered(Plan(trials=60, numbers=2), answer_with(1.0))
     assert any(
-        "all 60 comparisons were right" in note and "from above alone" in note
+        "all 60 comparisons were right" in note and "only an upper limit" in note
         for note in session.notes()
     )
     assert any("lies at the prior's lowest Weber fraction" in note for note in session.notes())
@@ -62,5 +62,5 @@ def test_a_prior_that_excludes_the_truth_is_reported(lowest, highest, side):
 
 def test_no_numbers_leave_the_exponent_to_the_prior():
     session = answered(Plan(trials=5, numbers=0), answer_with(1.0))
-    assert any("Stevens' exponent is the prior's" in note for note in session.notes())
+    assert any("Stevens' exponent has the value of the prior" in note for note in session.notes())
     assert session.observer("x").beta == pytest.approx(1.4)

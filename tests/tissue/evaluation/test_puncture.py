@@ -100,7 +100,7 @@ def run(notice="force", **changes):
     """
     watched = []
 
-    class Watched(puncture._Bystander):
+    class Watched(puncture._EndOfRun):
         puncture_s = inf
 
         def on_begin(self, parts, columns):
@@ -121,7 +121,7 @@ def run(notice="force", **changes):
 
     given = {key.replace("__", "."): value for key, value in changes.items()}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(puncture, "_Bystander", Watched)
+        patch.setattr(puncture, "_EndOfRun", Watched)
         found = puncture.pierce(load_scene("needle", SCENE | given), kappa=0.07, offset_N=0.2)
     (seen,) = watched
     hand = seen.hand

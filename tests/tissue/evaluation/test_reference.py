@@ -244,10 +244,10 @@ def test_the_least_distance_on_a_path_is_that_of_its_nearest_place(profile):
     for part in convex_parts(PROFILES[profile]):
         along = (start + share * (end - start)).reshape(-1, 3)
         wanted = part.distance(along).reshape(2001, -1).min(axis=0)
-        found = part.least_on_path(start, end, within=np.full(300, np.inf))
+        found = part.least_on_path(start, end, limit_m=np.full(300, np.inf))
         step = np.linalg.norm(end - start, axis=1) / 2000
         assert (found <= wanted + 1e-9).all() and (found > wanted - step).all()
-        bound = part.least_on_path(start, end, within=np.zeros(300))
+        bound = part.least_on_path(start, end, limit_m=np.zeros(300))
         assert (bound <= found + 1e-9).all() and np.allclose(
             bound[found < 0], found[found < 0], atol=1e-12
         )

@@ -95,13 +95,15 @@ def test_the_report_finds_what_was_planted(study):
     # five sentences begin the report
     registered, force, travel, _, papers = message[:5]
     assert registered.startswith("plan.toml was registered before the first trial")
-    assert force.startswith("Force error with prediction over that of the penalty law: T1 0.4")
+    assert force.startswith(
+        "Force error with prediction, divided by the force error of the penalty law: T1 0.4"
+    )
     range_text = "0.50 mm (penalty) to 0.50 mm (penalty), and at least 100 %"
     assert f"travel after the puncture is {range_text}" in travel
     assert papers.startswith("Results that agree with the paper: ")
     first = text[text.index('<section id="found"') : text.index('<section id="overview"')]
     assert first.count('class="verdict"') == 5
-    assert "koopman lets 100 % notice, travel 0.50 mm" in text
+    assert "noticed in 100 % with koopman (median travel over people: 0.50 mm)" in text
     assert "±" not in text
     assert text.index('<section id="found"') < text.index('<section id="overview"')
     assert "T1: energy is left out, as its force_error differs from that of penalty in no" in text
@@ -147,7 +149,7 @@ def test_figures_are_compared_only_where_the_task_is_that_of_the_paper(study, mo
     count = len(printed) + 2
     found = found_section([force_section(table), task_section(table)])
     assert f" of {count}. Agreement means" in found.sentences[-1]
-    monkeypatch.setitem(TASKS, "T2", replace(TASKS["T2"], differs="another wall"))
+    monkeypatch.setitem(TASKS, "T2", replace(TASKS["T2"], known_difference="another wall"))
     found = found_section([force_section(table), task_section(table)])
     assert f" of {count // 2}. Agreement means" in found.sentences[-1]
 
@@ -192,7 +194,7 @@ def test_a_study_that_has_hardly_begun_is_reported(tmp_path):
     folder.write(Trial(key, 1, tuple(planted(key, np.random.default_rng(0))), 1.0))
     sections = {each.name: each for each in sections_of(folder)}
     overview = " ".join(sections["overview"].sentences)
-    assert "No trial yet of intermediate, expert: the figures are of the other groups." in overview
+    assert "There is no trial of intermediate, expert yet" in overview
     assert "could not be tested" in " ".join(sections["tests"].sentences)
     assert "force" in sections and "case-needle" not in sections
 
@@ -214,7 +216,9 @@ def test_a_study_of_few_people_is_reported(trials, groups, methods, tmp_path):
         ]
         folder.write(Trial(key, number, tuple(rows), 1.0))
     sections = {each.name: each for each in sections_of(folder)}
-    assert f"group has at most {trials} of them" in " ".join(sections["overview"].sentences)
+    assert f"A group has at most {trials} simulated user" in " ".join(
+        sections["overview"].sentences
+    )
     text = " ".join(sections["index"].sentences)
     assert "-0.00" not in text
     if trials == 1 or len(groups) == 1:

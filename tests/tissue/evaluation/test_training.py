@@ -15,7 +15,7 @@ from tissue.evaluation.statistics.metrics import force_error
 from tissue.evaluation.training import fit, validated, with_fallback
 from tissue.prediction.trained import Trained, shipped_file
 from tissue.scene.registry import PREDICTORS
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.builders.prediction import FALLBACKS
 from tissue.simulation.reference_force import ideal_force_N, motor_forces
 
@@ -149,7 +149,7 @@ def test_latency_is_hidden_on_the_wall(kind, share, primary):
 def test_training_again_gives_the_shipped_predictor(command, here):
     """A run can use the file that the command writes."""
     code, output, _ = command("train", "wall")
-    assert code == 0 and "held out" in output and "koopman" in output
+    assert code == 0 and "held-out" in output and "koopman" in output
     hidden, *_ = motor_error("koopman", **{"coupling.predictor_file": str(here / "wall.npz")})
     assert hidden < 0.025
     again, shipped = Trained.read(here / "wall.npz"), Trained.read(shipped_file("wall"))

@@ -158,7 +158,7 @@ def test_samples_of_equal_times_are_averaged(table, tmp_path):
     log = read_log(tmp_path / "log.csv")
     assert log.times_s == pytest.approx(TIMES_S)
     assert log.loads[:, 0] == pytest.approx(table.rows[:, 4])
-    assert "100 samples with the time of the one before are averaged" in log.notes
+    assert "100 samples with the time of the previous sample are averaged" in log.notes
 
 
 @pytest.mark.parametrize(

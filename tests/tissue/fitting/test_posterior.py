@@ -94,7 +94,7 @@ def test_one_feed_gives_combinations_and_no_single_constant():
     for each in result.combinations:
         weights = np.array(list(each.weights.values()))
         assert weights == pytest.approx([w / sum(weights) for w in weights])
-        assert each.low < each.of(np.array(x)) < each.high
+        assert each.low < each.exact_value(np.array(x)) < each.high
     gains = expected_information(found, {"the same": slot(feeds=(1.0,)), "three feeds": slot()})
     assert gains[0].label == "three feeds" and gains[0].shrinks_to < 0.1
     assert gains[1].shrinks_to > 0.99

@@ -10,7 +10,7 @@ from tissue.haptics.device.device import device_parameters
 from tissue.haptics.hand.hand import hand_parameters
 from tissue.scene.load import load_scene
 from tissue.scene.scene import Scene
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.builders.hand import hand_motion
 from tissue.simulation.builders.parts import motion_of
 from tissue.simulation.simulate import tick_count

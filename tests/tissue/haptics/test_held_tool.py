@@ -56,11 +56,11 @@ def test_a_balance_in_which_the_tissue_would_pull_is_none():
     np.testing.assert_array_equal(
         tool.follow(-1e-3 * DOWN, UPRIGHT, RESTING, response, STEP_S), -1e-3 * DOWN
     )
-    assert not tool.lands(response)
+    assert not tool.has_entered(response)
     response.wrench[2] = 0.0
     tool.follow(-1e-3 * DOWN, UPRIGHT, RESTING, response, STEP_S)
     response.wrench[2] = 0.1
-    assert tool.lands(response)
+    assert tool.has_entered(response)
 
 
 def test_a_led_hand_goes_farther_until_the_tool_is_there():

@@ -10,7 +10,7 @@ from igtl_client import IgtlClient
 from tissue import load_scene, simulate
 from tissue.links import igtl_messages as igtl
 from tissue.links.slicer_process import scene_to_ras
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.live.publisher import SlicerLink
 from tissue.simulation.live.run import LiveSettings, live
 

@@ -10,7 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from meshes.shapes.sdf import capsule, shape_triangles
 from tissue.cutters import profile
-from tissue.models.keep_clear import APART_M, DEEP_OVERLAP_M, OVERLAP_M, KeepClear, Structure
+from tissue.models.keep_clear import (
+    DEEP_OVERLAP_ERROR_M,
+    DISTANCE_ERROR_M,
+    OVERLAP_ERROR_M,
+    KeepClear,
+    Structure,
+)
 from tissue.models.tissue_model import ToolMotion
 
 SECTIONS = 128
@@ -124,7 +130,7 @@ def test_drill_in_a_tube(sections, rings, scale):
         for height in (4e-3, 1e-3, -3e-3):
             exact_mm = 2.6 * abs(scale) - 1e3 * aside - 1.0
             found = frame([aside, 0.0, height])
-            assert exact_mm - 1e3 * APART_M - ABOVE_MM <= found <= exact_mm + ABOVE_MM
+            assert exact_mm - 1e3 * DISTANCE_ERROR_M - ABOVE_MM <= found <= exact_mm + ABOVE_MM
 
 
 def test_the_depth_in_many_triangles_is_coarse_and_safe():
@@ -138,7 +144,11 @@ def test_the_depth_in_many_triangles_is_coarse_and_safe():
         found = frame([0.0, 0.0, 1e-3 * away_mm - 1.5e-3])
         # the sphere of the triangles lies between the two radii
         depth_mm = outer_mm - away_mm + 1.5
-        error_mm = outer_mm - inner_mm + 1e3 * (DEEP_OVERLAP_M if depth_mm > 1.0 else OVERLAP_M)
+        error_mm = (
+            outer_mm
+            - inner_mm
+            + 1e3 * (DEEP_OVERLAP_ERROR_M if depth_mm > 1.0 else OVERLAP_ERROR_M)
+        )
         assert -depth_mm - error_mm <= found <= -(inner_mm - away_mm + 1.5) + ABOVE_MM
 
 

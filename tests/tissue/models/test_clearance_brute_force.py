@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from structure_poses import distance_m
 
 from tissue.cutters import profile
-from tissue.models.keep_clear import APART_M, OVERLAP_M, KeepClear, Structure
+from tissue.models.keep_clear import DISTANCE_ERROR_M, OVERLAP_ERROR_M, KeepClear, Structure
 
 REFERENCE_M = 2e-6
 STARTS, TRIES, ROUNDS = 6, 12, 90
@@ -104,6 +104,6 @@ def test_any_tool_and_any_structure(name, kind):
         turn = Rotation.random(random_state=rng.integers(1000))
         tip = rng.uniform(-6e-3, 6e-3, 3)
         exact = reference_m(structure, TOOLS[name], tip, turn, rng)
-        error = APART_M if exact > 0.0 else OVERLAP_M
+        error = DISTANCE_ERROR_M if exact > 0.0 else OVERLAP_ERROR_M
         found = distance_m(clear, tip, turn)
         assert exact - error - REFERENCE_M <= found <= exact + ROUNDING_M

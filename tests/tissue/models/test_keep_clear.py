@@ -11,7 +11,7 @@ import tissue
 from meshes.base.errors import InputError
 from tissue.scene.load import parse_overrides
 from tissue.show.report.page import run_rows
-from tissue.simulation.builders import cutting, force_met
+from tissue.simulation.builders import cutting, force_scale
 
 RADIUS_MM = 3.0
 DEPTH_MM = 6.0
@@ -148,7 +148,7 @@ def test_a_tool_that_stays_away_keeps_the_margin(tmp_path):
 @pytest.mark.parametrize("text", ["[Pulp]", "Pulp", '["Pulp"]', "pulp,canal"])
 @pytest.mark.parametrize("device", ["none", "touch"])
 def test_a_name_that_the_anatomy_does_not_have_is_refused_before_voxels(monkeypatch, text, device):
-    for module in (cutting, force_met):
+    for module in (cutting, force_scale):
         monkeypatch.setattr(module, "volume_of", pytest.fail)
     texts = ["stress=none", f"device={device}", f"keep_clear.names={text}"]
     scene = tissue.load_scene("molar", parse_overrides(texts))

@@ -74,7 +74,7 @@ def test_a_file_of_the_recorder_gives_tip_axis_and_force_in_the_world(tmp_path):
     The tip is 2 mm below the centre of a burr of 4 mm, axis up; a force along the camera's x lies
     along the world's y.
     """
-    held = read_drilling(recorded(tmp_path / "log.hdf5"), what="motion.file")
+    held = read_drilling(recorded(tmp_path / "log.hdf5"), argument="motion.file")
     # seconds since 1970 are known to 2.4e-7 s
     assert held.times_s == pytest.approx(TIMES_S, abs=1e-6)
     assert held.tips_m[0] == pytest.approx([0.1, -0.2, 0.298], abs=1e-15)
@@ -100,7 +100,7 @@ def test_it_is_replayed_at_its_speed_and_fitted_as_a_log(tmp_path):
 
 
 def test_without_burr_and_camera_the_point_and_the_axes_stay(tmp_path):
-    held = read_drilling(recorded(tmp_path / "log.h5", burr=(), camera=False), what="measured")
+    held = read_drilling(recorded(tmp_path / "log.h5", burr=(), camera=False), argument="measured")
     assert held.tips_m[0] == pytest.approx([0.1, -0.2, 0.3], abs=1e-15)
     assert held.loads[-1] == pytest.approx([1.0, 0.0, 2.0])
     assert any("counts as its tip" in note for note in held.notes)
@@ -111,7 +111,7 @@ def test_the_older_layout_is_read(tmp_path):
         tmp_path / "old.hdf5", poses="high_frequency_poses", events=".", drill="drill_pose"
     )
     new = recorded(tmp_path / "new.hdf5")
-    one, other = (read_drilling(path, what="motion.file") for path in (old, new))
+    one, other = (read_drilling(path, argument="motion.file") for path in (old, new))
     np.testing.assert_array_equal(one.tips_m, other.tips_m)
     np.testing.assert_array_equal(one.loads, other.loads)
     assert read_log(old).loads.shape == (101, 3)
@@ -120,7 +120,7 @@ def test_the_older_layout_is_read(tmp_path):
 def test_the_layout_of_2022_to_2025_is_read(tmp_path):
     """Its poses are datasets in the group data, on one clock, and its events lie at the root."""
     new = recorded(tmp_path / "new.hdf5")
-    held = read_drilling(new, what="motion.file")
+    held = read_drilling(new, argument="motion.file")
     with h5py.File(new) as source, h5py.File(tmp_path / "log.hdf5", "w") as file:
         for name in ("drill_force_feedback", "burr_change"):
             source.copy(f"{EVENTS}/{name}", file)
@@ -136,7 +136,7 @@ def test_the_layout_of_2022_to_2025_is_read(tmp_path):
         # its recorder stores whole numbers for an object at rest
         file["data/pose_mastoidectomy_volume"] = np.tile([0, 0, 0, 0, 0, 0, 1], (count, 1))
         file["data/l_img"] = np.zeros((3, 2, 2))
-    other = read_drilling(tmp_path / "log.hdf5", what="motion.file")
+    other = read_drilling(tmp_path / "log.hdf5", argument="motion.file")
     np.testing.assert_allclose(other.tips_m, held.tips_m, atol=1e-15)
     np.testing.assert_allclose(other.loads, held.loads, atol=1e-12)
     assert other.notes == held.notes

@@ -197,7 +197,7 @@ def test_a_surface_is_filled_and_its_inclusion_is_a_part(tmp_path):
     mesh = both.mesh.compute_cell_sizes()
     volume = mesh["Volume"][mesh["part"] == 1].sum()
     assert volume == pytest.approx(4.0 / 3.0 * np.pi * 7.0**3, rel=0.03)
-    assert both.notes["cyst"].startswith("1.42 ml, in the mesh within ")
+    assert both.notes["cyst"].startswith("1.42 ml (volume of the mesh: within ")
     soft, stiff = (
         each.press(BALL, depth_mm=2, at_mm=(0, 0, 20)).force_magnitude_N for each in (plain, both)
     )

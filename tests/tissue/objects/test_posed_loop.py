@@ -8,7 +8,7 @@ import pyvista
 
 import tissue
 from tissue.cutters import ball_burr
-from tissue.models.organ.model import LiverModel
+from tissue.models.organ.model import OrganModel
 from tissue.models.state import fingerprint
 from tissue.objects.bone import constants_of
 
@@ -138,6 +138,14 @@ def test_a_tool_that_leaves_the_prepared_region_is_reported():
         loop.restore(inside)
 
 
+def test_tables_that_a_loop_does_not_use_are_noted():
+    loop = tissue.Loop(tissue.load_scene("needle", {"device": "touch"}))
+    assert loop.notes["not used"].startswith("device of the scene, because a program moves")
+    plain = tissue.Loop("needle")
+    assert "not used" not in plain.notes
+    assert "also valid outside this region" in plain.notes["reach"]
+
+
 def test_a_tip_that_is_rounded_to_six_digits_stays_in_the_prepared_region():
     loop = made("needle", reach_mm=0.0)
     loop.reset([0, 0, 5])
@@ -251,12 +259,12 @@ def test_the_newest_ticks_are_in_order_once_all_rows_are_used():
 def test_a_limit_is_warned_of_after_a_reset_that_cleared_another():
     loop = tissue.Loop(tissue.Bone.block((12, 8, 5), spacing_mm=0.25), start_mm=(-4, 0, 1))
     for about in ("chips", "smooth surface"):
-        loop._limits.passed[about] = f"the limit of {about}"
+        loop._limits.exceeded[about] = f"the limit of {about}"
         with pytest.warns(UserWarning, match=about) as warned:
             loop.step([-4, 0, 1])
         assert warned[0].filename == __file__
         loop.reset()
-        assert not loop._limits.passed
+        assert not loop._limits.exceeded
 
 
 def test_an_organ_is_pressed_and_reset():
@@ -264,7 +272,7 @@ def test_an_organ_is_pressed_and_reset():
     loop = tissue.Loop(organ, tissue.ball(diameter_mm=20), start_mm=(0, 0, 1), reach_mm=4)
     down = along([[0, 0, 1], [0, 0, -2]], 50)
     first = moved(loop, down)
-    assert isinstance(loop._loop.parts.tissue, LiverModel) and first[-1, 2] > 0.05
+    assert isinstance(loop._loop.parts.tissue, OrganModel) and first[-1, 2] > 0.05
     loop.reset()
     np.testing.assert_array_equal(moved(loop, down), first)
 

@@ -32,7 +32,7 @@ def test_medians_are_what_was_given():
 
 def test_draws_give_the_observer_back():
     one = observer()
-    again = Observer.from_draws("ada", one.draws(200_000, np.random.default_rng(0)), trials=120)
+    again = Observer.from_draws("ada", one.draw(200_000, np.random.default_rng(0)), trials=120)
     assert again.mean == pytest.approx(one.mean, abs=0.01) and again.covariance == pytest.approx(
         one.covariance, abs=0.01
     )

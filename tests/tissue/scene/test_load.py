@@ -8,6 +8,7 @@ from tissue import InputError, load_scene, scene_names, scene_text
 from tissue.scene.load import (
     DroppedKeyWarning,
     OldSceneWarning,
+    changed,
     parse_override,
     parse_overrides,
     saved_text,
@@ -117,6 +118,17 @@ def test_files_are_taken_from_the_scene_file_and_overrides_from_the_working_dire
     assert load_scene(home / "x.toml", {"anatomy.file": ""}).anatomy.from_file is None
     replay = {"motion.kind": "replay", "motion.file": "t.csv"}
     assert load_scene(home / "x.toml", replay).motion.file == str(work / "t.csv")
+
+
+def test_the_axis_of_a_path_is_kept_for_a_thrust():
+    oblique = changed(load_scene("needle"), {"motion.axis": (-0.5, 0.0, 0.75**0.5)})
+    thrust = {"motion.kind": "thrust", "motion.thrust_N": 3.0}
+    pushed = changed(oblique, thrust)
+    assert pushed.motion.axis == oblique.motion.axis
+    path = {"motion.kind": "path", "motion.points_mm": [[0, 0, 1], [0, 0, -1]]}
+    assert changed(pushed, path | {"motion.feed_mm_s": 1.0}).motion.axis == oblique.motion.axis
+    up = {"motion.axis": (0.0, 0.0, 1.0)}
+    assert changed(oblique, thrust | up).motion.axis == (0.0, 0.0, 1.0)
 
 
 OLD_DEVICE = {

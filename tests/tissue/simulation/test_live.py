@@ -12,7 +12,7 @@ import pytest
 
 from tissue import InputError, load_scene
 from tissue.motion.quaternion import UPRIGHT
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.live.run import LiveObserver, LiveSettings
 from tissue.simulation.live.run import live as run_live
 from tissue.simulation.live.window import WindowProcess

@@ -90,3 +90,17 @@ def test_a_replay_of_a_file_in_metres_gets_a_note(tmp_path):
     run = tissue.simulate(tissue.load_scene("milling", motion | {"voxels.spacing_mm": 0.5}))
     note = run.summary["notes"]["length of the path"]
     assert note.startswith("only 0.003 mm") and "columns of motion.file" in note
+
+
+def test_a_needle_that_replays_a_file_in_metres_gets_a_note(tmp_path):
+    header = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw"
+    rows = "0,0,0,0.005,0,0,0,1\n0.02,0,0,-0.035,0,0,0,1\n"
+    (tmp_path / "poses.csv").write_text(f"{header}\n{rows}")
+    motion = {"motion.kind": "replay", "motion.file": str(tmp_path / "poses.csv")}
+    changes = motion | {"anatomy.interval_ms": 0.0}
+    notes = tissue.simulate(tissue.load_scene("needle", changes)).summary["notes"]
+    assert "positions span only 0.04 mm" in notes["length of the path"]
+    deep = rows.replace("0.035", "1")
+    (tmp_path / "poses.csv").write_text(f"{header}\n{deep}")
+    notes = tissue.simulate(tissue.load_scene("needle", changes)).summary["notes"]
+    assert "length of the path" not in notes

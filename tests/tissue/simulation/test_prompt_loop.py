@@ -6,7 +6,7 @@ It gives the raw force of a whole run bit for bit, and cached values change noth
 import numpy as np
 import pytest
 
-from meshes.base.cache import Kept
+from meshes.base.cache import RecentResults
 from tissue import load_scene, simulate
 from tissue.cutters import cutter
 from tissue.evaluation.study.plan import TASKS
@@ -93,5 +93,5 @@ def test_what_runs_share_changes_no_bit(monkeypatch, task):
     simulate(scene, cores=1, allow_unstable=True)
     shared = simulate(scene, cores=1, allow_unstable=True).trace.rows
     for module, name in KEPT:
-        monkeypatch.setattr(module, name, Kept(0))
+        monkeypatch.setattr(module, name, RecentResults(0))
     assert shared.tobytes() == simulate(scene, cores=1, allow_unstable=True).trace.rows.tobytes()

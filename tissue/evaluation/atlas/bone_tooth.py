@@ -49,9 +49,9 @@ MASS_KG = 0.05
 
 @cache
 def drag_N_s_m() -> float:
-    """Compute the force per feed speed [N s/m] of a burr that is 1 mm deep in cortical bone.
+    """Compute the ratio of force to feed speed [N s/m] of a burr 1 mm deep in cortical bone.
 
-    The burr moves along its axis. The ratio acts as damping.
+    The burr moves along its axis. The ratio acts as a damping coefficient of the burr's motion.
     """
     # a block that is wider than the burr and 1 mm deeper than the plunge, in the voxels of a scene
     volume = voxelise(cortical_block(size_mm=(7, 7, 2)), spacing_m=1e-4)
@@ -69,8 +69,8 @@ def drag_N_s_m() -> float:
     return response.resistance[2]
 
 
-def left_over(step_s: float, mass_kg: float, *, implicit: bool) -> float:
-    """Integrate the tool's motion over 400 time steps; return the final speed's relative error."""
+def final_speed_error(step_s: float, mass_kg: float, *, implicit: bool) -> float:
+    """Integrate the motion over 400 steps; return the relative deviation from the steady speed."""
     drag = drag_N_s_m()
     settled = THRUST_N / drag
     speed = 0.0
@@ -86,13 +86,13 @@ def left_over(step_s: float, mass_kg: float, *, implicit: bool) -> float:
 
 
 class ExplicitCutting(Page):
-    """Explicit time steps of the feed diverge because the cutting force acts as a strong damper."""
+    """Divergence of explicit time integration, because the cutting force is a strong damper."""
 
     name = "explicit_cutting"
     title = "Explicit step of a cutting tool"
     question = (
-        "The cutting force increases with the feed so fast that it acts as a damper c. How long "
-        "may a step of a tool be that is pushed into bone?"
+        "The cutting force increases with the feed and acts as a damper c. How long may the time "
+        "step be for a tool that is pushed into bone?"
     )
     source = (
         "Euler's explicit rule on m dv/dt = F − cv needs Δt < 2m/c; c of a burr of 6 mm, 1 mm deep "
@@ -100,7 +100,7 @@ class ExplicitCutting(Page):
     )
 
     def measure(self) -> Data:
-        """Find the longest stable step for several tool masses; vary the time step at one mass."""
+        """Find the longest stable step for several masses; vary the time step for one mass."""
         # from far below the explicit limit, 1 on this axis, to a tick of some milliseconds
         steps = 2.0 * MASS_KG / drag_N_s_m() * np.geomspace(0.05, 200.0, 24)
 
@@ -108,7 +108,7 @@ class ExplicitCutting(Page):
             """Return the limit of the explicit time step: measured, and by theory."""
             runs_away = boundary(
                 # thirty bisections of eight decades find the limit to 2e-8
-                lambda step: left_over(step, mass, implicit=False) > 1.0,
+                lambda step: final_speed_error(step, mass, implicit=False) > 1.0,
                 1e-8,
                 1.0,
                 steps=30,
@@ -118,8 +118,8 @@ class ExplicitCutting(Page):
         def left(step: float) -> dict[str, float]:
             """Return the remaining error of the explicit and of the implicit rule."""
             return {
-                "explicit": left_over(step, MASS_KG, implicit=False),
-                "implicit": left_over(step, MASS_KG, implicit=True),
+                "explicit": final_speed_error(step, MASS_KG, implicit=False),
+                "implicit": final_speed_error(step, MASS_KG, implicit=True),
             }
 
         # three masses in a decade on both sides of `MASS_KG`
@@ -127,11 +127,11 @@ class ExplicitCutting(Page):
         return {"mass": sweep("mass_kg", masses, limit_s), "step": sweep("step_s", steps, left)}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the longest stable explicit step with theory, and test the implicit rule.
+        """Compare the longest stable explicit step with theory, and test implicit integration.
 
         By theory, the longest stable explicit step is 2 m / c, where m is the mass of the tool and
-        c the damping by the cutting force. The implicit rule is tested with longer steps; the speed
-        must converge to the steady speed.
+        c the damping by the cutting force. Implicit integration is tested with longer steps; the
+        speed must converge to the steady speed.
         """
         step = data["step"]
         off = error_of(data["mass"]["explicit_s"], data["mass"]["theory_s"])
@@ -171,14 +171,14 @@ SINGULAR = 1e14
 
 
 def body_of(particles: ParticleSet, edge_m: float, strength: float) -> ParticleBody:
-    """Return a particle body in a grid of cubic cells (edge `edge_m`), fixed at its base."""
+    """Return a body of particles in a grid of cubic cells (edge `edge_m`); its base is fixed."""
     grid = HexGrid.around(particles.position_m, edge_m=edge_m, origin_m=np.zeros(3))
     supports = NodeSupports.of(grid.node_count, held=grid.node_place[:, 2] == 0)
     return ParticleBody(particles, grid, supports, inner_strength=strength)
 
 
 def cut_block(fill: float, strength: float) -> ParticleBody:
-    """Return a block of full cells (8 particles each) with a layer of cut cells on top.
+    """Return a block of full cells (8 particles each) below a layer of cut (partly filled) cells.
 
     A cut cell holds one particle. ``fill`` is the volume of this particle divided by the volume of
     the cell.
@@ -199,7 +199,7 @@ def cut_block(fill: float, strength: float) -> ParticleBody:
 
 
 def conditions(body: ParticleBody) -> tuple[float, float]:
-    """Compute two condition numbers of the stiffness matrix: unscaled and scaled by its diagonal.
+    """Compute the condition numbers of the stiffness matrix and of the scaled stiffness matrix.
 
     The second matrix is scaled to a unit diagonal. Each number is limited to 1e17.
     """
@@ -215,7 +215,7 @@ def conditions(body: ParticleBody) -> tuple[float, float]:
 
 
 def compliance_m_N(body: ParticleBody, fill: float) -> float:
-    """Compute the compliance [m/N] of a block for a force on its top."""
+    """Compute the compliance [m/N] for a force on a cut cell of a block, filled to `fill`."""
     # in the middle of the top face, just inside the filled part of the cut cell
     place = CUT_EDGE_M * np.array([1.5, 1.5, CELLS + 0.999 * fill])
     load = body.spread(place, np.array([0.0, 0.0, -1.0]))
@@ -224,10 +224,11 @@ def compliance_m_N(body: ParticleBody, fill: float) -> float:
 
 
 def at_fill(fill: float) -> dict[str, float]:
-    """Compute condition numbers with and without stabilisation, and the change of compliance.
+    """Compute condition numbers with and without stabilisation, and its effect on the compliance.
 
-    Cut cells are stabilised by an additional stiffness, a fraction of a full cell's inner
-    stiffness. ``fill`` is the filled fraction of each cut cell, 0 to 1.
+    Cut cells are stabilised by a fraction of the inner stiffness. The inner stiffness is the
+    stiffness of a full cell minus the stiffness of its centre point. ``fill`` is the filled
+    fraction of each cut cell, 0 to 1.
     """
     stabilised = cut_block(fill, INNER_STRENGTH)
     condition, scaled = conditions(stabilised)
@@ -244,7 +245,7 @@ def at_fill(fill: float) -> dict[str, float]:
 
 
 class CutCells(Page):
-    """Stiffness matrix that cut cells make singular, and additional stiffness as a remedy."""
+    """Singular stiffness matrix due to cut cells, and additional stiffness as a remedy."""
 
     name = "cut_cells"
     title = "Cut cells: how little may a cell hold?"
@@ -264,7 +265,7 @@ class CutCells(Page):
         return {"fill": sweep("fill", np.geomspace(1.0, 2e-4, 13), at_fill)}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the condition numbers with and without stabilisation; report the cost."""
+        """Compare condition numbers with and without stabilisation; report the compliance cost."""
         table = data["fill"]
         carried = table["carried"] > 0.0
         worst = table["scaled"].max()
@@ -344,8 +345,8 @@ def pushed(body: ParticleBody) -> Array:
 def plain_iterations(body: ParticleBody) -> float:
     """Count SciPy's conjugate-gradient iterations until the error is 1e-6 of the initial error.
 
-    The error is the energy norm of the difference from the exact solution. It is computed in every
-    fifth iteration, so the result is a multiple of five.
+    The error is the energy norm of the difference from the exact solution. The error is computed in
+    every fifth iteration, so the result is a multiple of five.
     """
     matrix = csr_array(body.matrix())
     kept = np.flatnonzero(matrix.diagonal() > 0.0)
@@ -388,7 +389,7 @@ class Contrast(Page):
     )
 
     def measure(self) -> Data:
-        """Vary the ratio of the moduli; multigrid is tested on a coarse and on a finer grid."""
+        """Vary the ratio of the moduli, and use multigrid on a coarse and on a finer grid."""
         table = {"contrast": CONTRASTS}
         # two grids, to show whether iterations grow with the number of cells
         for cells in (8, 12):
@@ -407,8 +408,8 @@ class Contrast(Page):
     def judge(self, data: Data) -> Verdict:
         """Compare the numbers of iterations with and without multigrid.
 
-        Without multigrid, the number grows with the ratio of the moduli. With multigrid, the number
-        stays in a small range.
+        Without multigrid, the number should grow with the ratio of the moduli. With multigrid, the
+        number should stay in a small range.
         """
         table = data["contrast"]
         plain = table["plain"]

@@ -59,7 +59,7 @@ RULES = {"engine": "tool of the engine", "massless": "massless quasi-static limi
 
 @dataclass(frozen=True)
 class DevicePath:
-    """Poses of a haptic device in every tick, without encoder steps.
+    """Poses of a haptic device in every tick, not rounded to encoder steps.
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ class _PoseObserver(RunObserver):
 
 
 def in_a_hand(scene: Scene, *, seed: int, seconds: float) -> Scene:
-    """Return the scene with its tool coupled to a haptic device in an expert's hand.
+    """Return a copy of the scene in which an expert's hand moves the tool through a haptic device.
 
     Settings that do not influence the force, such as computed fields, are switched off.
     """
@@ -147,7 +147,7 @@ def in_a_hand(scene: Scene, *, seed: int, seconds: float) -> Scene:
 
 
 def recorded_path(scene: Scene) -> DevicePath:
-    """Run a scene with its hand and device; return the poses of the device."""
+    """Run a scene in which a hand moves the device; return the poses of the device."""
     observer = _PoseObserver()
     simulate(scene, allow_unstable=True, observers=[observer])
     return DevicePath(np.array(observer.positions_m), np.array(observer.quaternions))
@@ -156,8 +156,9 @@ def recorded_path(scene: Scene) -> DevicePath:
 def replayed(scene: Scene, path: DevicePath, *, mass_share: float = 1.0) -> Course:
     """Run a scene along a given device path, without force feedback to the device.
 
-    As on a simulated device, the velocity is the difference of two successive positions divided by
-    the duration of a tick. The mass of a tool with inertia is multiplied by ``mass_share``.
+    As for a simulated device, the velocity is the difference of two successive positions divided by
+    the duration of a tick. If the tool model includes inertia, its mass is multiplied by
+    ``mass_share``.
     """
     times_s = TICK_S * np.arange(len(path.positions_m), dtype=np.float64)
     device = RecordedDevice(times_s, path.positions_m, path.quaternions)
@@ -168,11 +169,11 @@ def replayed(scene: Scene, path: DevicePath, *, mass_share: float = 1.0) -> Cour
 
 
 def amplification(course: Course, reference: Course, shift_m: float) -> tuple[float, float]:
-    """Return the amplification: distance of two tool paths over the shift of their device paths.
+    """Return the amplification: distance of the tool paths divided by the device-path shift.
 
-    Two values are returned: the ratio one second after the first contact (or at the end of a
-    shorter run), and the largest ratio of the run. ``shift_m`` is the shift between the device
-    paths [m]. Without contact, the ratio would be 1.
+    Two values are returned: the ratio one second after first contact (or at the end, if the run
+    ends earlier), and the largest ratio. ``shift_m`` is the shift between the device paths [m]. In
+    free motion, the ratio is 1.
     """
     away_m = np.linalg.norm(course.tips_m - reference.tips_m, axis=1)
     later = min(reference.first + round(1.0 / TICK_S), len(away_m) - 1)
@@ -190,7 +191,7 @@ def force_error(course: Course, reference: Course) -> float:
 
 
 class HeldTool(Page):
-    """Sensitivity of the tool path to the device path, for the normal and a tiny tool mass."""
+    """Sensitivity of the tool path to the device path, for the normal and for a tiny tool mass."""
 
     name = "held_tool"
     title = "Cutting tool in a hand: amplification of a small shift"
@@ -205,7 +206,7 @@ class HeldTool(Page):
     )
 
     def measure(self) -> Data:
-        """Replay a shifted device path in every scene, for the normal and for a tiny tool mass."""
+        """Replay a shifted device path in each scene, with normal and with tiny tool mass."""
         data: Data = {}
         for name, seconds in SECONDS.items():
             scene = in_a_hand(load_scene(name), seed=1, seconds=seconds)
@@ -223,7 +224,7 @@ class HeldTool(Page):
         return data
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the largest amplification with the limit `MOST`, for both tool masses."""
+        """Compare the largest amplification with the limit `MOST` for normal and tiny tool mass."""
         worst = {rule: max(data, key=lambda name: data[name][rule].max()) for rule in RULES}
         grown = {rule: data[name][rule].max() for rule, name in worst.items()}
         error = {
@@ -241,7 +242,7 @@ class HeldTool(Page):
         )
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the amplification against the shift of the device path, for both tool masses."""
+        """Draw the amplification against the device-path shift, for normal and tiny tool mass."""
         holds = self.judge(data).holds
         panels = chart.subplots(1, 2, sharey=True)
         for axes, (rule, title) in zip(panels, RULES.items(), strict=True):

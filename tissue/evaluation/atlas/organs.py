@@ -54,7 +54,8 @@ A block is divided into six tetrahedra. The bar extends along x.
 def deflection(order: int, cells: tuple[int, int, int], ratio: float) -> tuple[float, float]:
     """Compute the tip deflection [m] of a clamped bar, and a flag for convergence.
 
-    The flag is 1 if the solver has converged and 0 otherwise.
+    `order` is the order of the elements, `cells` the number of blocks along each axis, and `ratio`
+    Poisson's ratio. The flag is 1 if the solver has converged and 0 otherwise.
     """
     space = Space(box((LENGTH, 1.0, 1.0), cells), order)
     # rounding of node coordinates, far below an edge
@@ -82,7 +83,7 @@ class Locking(Page):
     )
 
     def measure(self) -> Data:
-        """Vary Poisson's ratio nu, at equal steps in the logarithm of 1 - 2 nu."""
+        """Vary Poisson's ratio nu so that log(1 - 2 nu) changes in equal steps."""
         # 1 - 2 nu from 0.4 (nu = 0.3) to 2e-4 (nu = 0.4999), evenly on a logarithmic axis
         ratios = 0.5 * (1.0 - np.geomspace(0.4, 2e-4, 8))
         shear = YOUNG / (2.0 * (1.0 + ratios))
@@ -150,7 +151,7 @@ LAW_LOOKS = {"linear": FAILING, "neo-Hookean": ENGINE}
 
 
 def bar() -> tuple[Space, Flags]:
-    """Return the cells of a bar, and a mask of the held components of its end faces."""
+    """Return the `Space` of a bar, and a mask of the displacement components held at its ends."""
     # the strain of a rotated bar is uniform, so that a coarse mesh is exact
     space = Space(box((LENGTH_M, WIDTH_M, WIDTH_M), (6, 2, 2)))
     # both end faces, to rounding
@@ -159,20 +160,20 @@ def bar() -> tuple[Space, Flags]:
 
 
 def turned(nodes_m: Array, degrees: float) -> Array:
-    """Return the displacements [m] of nodes by a rotation about z, same shape as `nodes_m`."""
+    """Return the displacements [m] of nodes in a rotation about z; same shape as `nodes_m`."""
     turn = Rotation.from_euler("z", degrees, degrees=True)
     return turn.apply(nodes_m) - nodes_m
 
 
 def pulled_Pa(space: Space, force_N: Array) -> float:
-    """Return the stress [Pa] on the end of the bar at x = 0, from the nodal forces of the bar."""
+    """Compute the stress [Pa] on the bar's end face at x = 0 from the nodal forces."""
     # the nodes of this end, to rounding
     at_end = space.nodes_m[:, 0] < 1e-9
     return float(np.linalg.norm(force_N[at_end].sum(axis=0))) / WIDTH_M**2
 
 
 def linear_stress_Pa() -> Array:
-    """Compute the erroneous stress [Pa] of the linear law on an end of a bar that is only rotated.
+    """Compute the erroneous stress [Pa] that the linear law gives at an end of a rotated bar.
 
     The correct stress is zero. Both ends of the bar are rotated by each angle in `ANGLES`.
     """
@@ -189,9 +190,9 @@ def linear_stress_Pa() -> Array:
 
 
 def hyperelastic_stress_Pa() -> Array:
-    """Compute the erroneous stress [Pa] of a hyperelastic law, as in `linear_stress_Pa`.
+    """Compute the erroneous stress [Pa] that a hyperelastic law gives at an end of a rotated bar.
 
-    The rotated bar has no nodal forces, apart from rounding, so it is in equilibrium.
+    Apart from rounding, the nodal forces of the rotated bar are zero, so it is in equilibrium.
     """
     space, _ = bar()
     body = NonlinearBody(space, law=NEO_HOOKEAN)
@@ -214,7 +215,7 @@ class LargeRotation(Page):
     )
 
     def measure(self) -> Data:
-        """Vary the angle of rotation for the linear and a hyperelastic law."""
+        """Vary the angle of rotation, for the linear law and for a hyperelastic law."""
         return {
             "turn": {
                 "angle_deg": ANGLES,
@@ -225,7 +226,7 @@ class LargeRotation(Page):
         }
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the linear law's stress with E (1 - cos θ), and other stresses with zero."""
+        """Compare linear stress with E (1 - cos θ), and hyperelastic stress with zero."""
         turn = data["turn"]
         off = error_of(turn["linear_pa"], turn["theory_pa"])
         worst = turn["neo_hookean_pa"].max()
@@ -274,10 +275,10 @@ def middle_node(nodes_m: Array) -> int:
 
 
 def squashed(height: float) -> tuple[Array, Ints]:
-    """Return nodes [m] and cells of a tetrahedral mesh of a cube with one flattened cell.
+    """Return nodes [m] and cells of a tetrahedral cube mesh in which one cell is flattened.
 
-    The middle node of the cube is moved towards the opposite face of this cell. The new height of
-    the cell is `height` times its original height.
+    The middle node of the cube is moved towards the face of this cell that is opposite to the node.
+    The new height of the cell is `height` times its original height.
     """
     # few enough nodes for dense eigenvalues; even, so that one node is in the middle
     good = box((SIZE_M,) * 3, (4, 4, 4))
@@ -325,7 +326,7 @@ class BadTetrahedra(Page):
     source = "Mean ratio of Liu and Joe (1994); rules of the repair in meshes.tets.quality"
 
     def measure(self) -> Data:
-        """Vary the remaining height of the flattened cell."""
+        """Vary the height of the flattened cell, relative to its original height."""
         # two heights in a decade, from a good cell to a flat one
         return {"sliver": sweep("height", np.geomspace(1.0, 1e-5, 11), at_height)}
 

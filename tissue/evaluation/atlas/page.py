@@ -55,7 +55,7 @@ A curve has one value for each point of the parameter sweep, or is a constant.
 
 
 class Conduct(Enum):
-    """Behaviour of the simulation in a part of a parameter sweep, with its text for the chart."""
+    """Behaviour of the simulation in a range of a parameter sweep, and its label in the chart."""
 
     HOLDS = "holds"
     FALLS_BACK = "falls back"
@@ -83,11 +83,11 @@ class Page(ABC):
     Attributes
     ----------
     name
-        Short name, with which the file names of the page begin.
+        Short name; the names of the page's files begin with it.
     title, question
         Title of the page, and question that the page answers.
     source
-        Source of the theory, and fixed parameters, as text.
+        Text that gives the source of the theory and the values of the fixed parameters.
     """
 
     name: str
@@ -117,7 +117,7 @@ def sweep(name: str, values: Array, run: Callable[[float], Mapping[str, float]])
 
 
 def boundary(fails: Callable[[float], bool], low: float, high: float, *, steps: int) -> float:
-    """Find the value between `low` and `high` above which `fails` returns true.
+    """Find the threshold between `low` and `high` above which `fails` returns true.
 
     `low` and `high` must be positive. The search bisects the logarithm of the value.
     """
@@ -153,7 +153,7 @@ def picture(page: Page, data: Data) -> bytes:
 
 
 def shade(axes: Axes, x: Array, low: ArrayLike, high: ArrayLike, conduct: Conduct) -> None:
-    """Fill the region between two curves with the colour of the simulation's behaviour there."""
+    """Fill the region between two curves with the colour of the given simulation behaviour."""
     label = f"engine {conduct.value}"
     axes.fill_between(x, low, high, color=TINTS[conduct], zorder=0, linewidth=0.0, label=label)
 
@@ -182,8 +182,8 @@ def panel(
     curves
         Curves to draw, see `Curve`.
     conduct
-        Behaviours of the simulation, each with the lowest and highest x of its range. Default:
-        `Conduct.HOLDS` for all x.
+        Behaviours of the simulation, each with the lowest and highest x at which it occurs.
+        Default: `Conduct.HOLDS` for all x.
     log
         Axes with a logarithmic scale: "x", "y", "xy", or "" for none.
     legend
@@ -236,7 +236,7 @@ class Entry:
 
     @property
     def shown(self) -> bool:
-        """True if the criticised method failed and the method of the simulation worked."""
+        """True if the method criticised on the page failed and the simulation's method worked."""
         return bool(self.verdict.fails and self.verdict.holds)
 
 

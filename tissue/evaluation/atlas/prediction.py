@@ -61,7 +61,7 @@ LAGS = 6
 
 
 def tapped(stiffness_N_m: float, *, seed: int, seconds: float) -> Recording:
-    """Record positions, velocities and forces of a simulated novice who taps a wall."""
+    """Record positions, velocities and forces of a device while a simulated novice taps a wall."""
     rng = np.random.default_rng(seed)
     # a tap every 0.7 s, 2 to 8 mm deep, with a drift of 2 mm along the wall at two frequencies, so
     # that no tap repeats another. The path lasts 2 s longer than the run
@@ -90,13 +90,13 @@ def recordings() -> list[Recording]:
 
 
 def guarded(trained: Trained) -> Guarded:
-    """Return the trained Koopman predictor, with a guard that can replace its predictions."""
+    """Return the trained Koopman predictor with a guard that can fall back to zero-order hold."""
     koopman = Koopman(DelayPath(trained.operator))
     return Guarded(koopman, Hold(), reach_N=SIX_DOF.force_limit_N)
 
 
 def relative_error(predictions: Array, force: Array, horizon: int) -> float:
-    """Return the norm of the prediction error divided by the norm of the force, at most 1e6.
+    """Return the norm of the prediction error divided by the norm of the force, limited to 1e6.
 
     `predictions` and `force` have shape (n, 3). The prediction in row i is for the force in row i +
     `horizon`. Predictions of the first 100 ticks are ignored.
@@ -146,8 +146,8 @@ class Horizon(Page):
     def judge(self, data: Data) -> Verdict:
         """Find the horizon at which each predictor becomes worse than zero-order hold.
 
-        The page also checks that the Koopman predictor is useless at the longest horizon, which
-        means a relative error above 0.25. The measured error at 64 ms is 0.38.
+        The page also checks that the Koopman predictor is useless at the longest horizon: its
+        relative error exceeds 0.25. For the longest horizon, 64 ms, the measured error is 0.38.
         """
         table = data["horizon"]
         horizon = table["ahead_ms"]
@@ -198,7 +198,7 @@ class Horizon(Page):
 
 
 def bound_force_N(learnt: list[Recording], recording: Recording) -> Array:
-    """Predict the forces of a recording [N], shape (n, 3), by a regression on positions.
+    """Predict the forces [N] in a recording, shape (n, 3), by a regression on positions.
 
     The regression is fitted to the recordings in `learnt`. The regressors are the positions and
     penetration depths of the present tick and of the `LAGS` ticks before it. The predicted force is
@@ -224,8 +224,8 @@ def bound_force_N(learnt: list[Recording], recording: Recording) -> Array:
 class TrainedElsewhere(Page):
     """Errors of two linear predictors that are trained on one wall and used on other walls.
 
-    The first predictor is a regression on positions. The second predictor is the predictor of the
-    simulation, which uses displacements of the device and of the coupling spring.
+    The first predictor is a regression on positions. The second is the simulation's own predictor;
+    it uses displacements of the device and of the coupling spring.
     """
 
     name = "trained_elsewhere"

@@ -46,7 +46,9 @@ VALID_M = FASTEST_M_S * (TICK_S + OLDEST_S)
 """Longest jump of the position [m] from tick to tick that the sample guard accepts."""
 
 
-def pressed(fault: Fault, *, seconds: float, guarded: bool) -> tuple[Array, SampleGuard | None]:
+def simulate_press(
+    fault: Fault, *, seconds: float, guarded: bool
+) -> tuple[Array, SampleGuard | None]:
     """Simulate an expert who aims 5 mm deep into a wall with a device that has a fault.
 
     Return the magnitude of the force [N], shape (ticks,), and the sample guard. If `guarded` is
@@ -64,24 +66,24 @@ def pressed(fault: Fault, *, seconds: float, guarded: bool) -> tuple[Array, Samp
     return np.linalg.norm(run.force_N, axis=1), guard
 
 
-def shares(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
-    """Measure three forces around a fault of the samples, relative to the force before the fault.
+def relative_forces(kind: FaultKind, gap_s: float, *, guarded: bool) -> list[float]:
+    """Measure three forces during and after a sample fault, relative to the force before the fault.
 
-    The fault lasts `gap_s`. The three values are the force in its last tick, the largest force
-    after the fault, and the largest change from tick to tick during the fault.
+    The fault lasts `gap_s`. The values are the force in the last tick of the fault, the largest
+    force after it, and the largest force change between ticks during it.
     """
     fault = Fault(kind, FAULT_S, FAULT_S + gap_s)
     # 80 ms after the fault, in which the force returns
-    size, _ = pressed(fault, seconds=fault.end_s + 0.08, guarded=guarded)
+    size, _ = simulate_press(fault, seconds=fault.end_s + 0.08, guarded=guarded)
     last = round((FAULT_S + gap_s) / TICK_S) - 1
     step = np.abs(np.diff(size[FIRST - 1 : last + 1])).max()
     return (np.array([size[last], size[last + 1 :].max(), step]) / size[FIRST - 1]).tolist()
 
 
 def over_gap(kind: FaultKind, gaps: Array) -> Table:
-    """Compute `shares` with and without guard for each fault duration [s] in `gaps`."""
-    guarded = np.array([shares(kind, gap, guarded=True) for gap in gaps.tolist()])
-    bare = np.array([shares(kind, gap, guarded=False) for gap in gaps.tolist()])
+    """Compute `relative_forces` with and without guard for each fault duration [s] in `gaps`."""
+    guarded = np.array([relative_forces(kind, gap, guarded=True) for gap in gaps.tolist()])
+    bare = np.array([relative_forces(kind, gap, guarded=False) for gap in gaps.tolist()])
     # A repeated sample is accepted until it is too old. A late sample is too old immediately. From
     # then on, each tick takes 1/20 of the force.
     young_s = 2.0 * TICK_S if kind == "duplicated" else 0.0
@@ -99,8 +101,8 @@ def over_gap(kind: FaultKind, gaps: Array) -> Table:
 class LostSamples(Page):
     """Lost, late or repeated samples, with and without the sample guard.
 
-    Without the guard, the force keeps its last value, or drops in a single tick. With the guard,
-    the force fades during the fault and returns after it.
+    Without the guard, the force keeps its last value, or drops to zero in a single tick. With the
+    guard, the force fades during the fault and returns after it.
     """
 
     name = "lost_samples"
@@ -121,7 +123,7 @@ class LostSamples(Page):
         return {kind: over_gap(kind, gaps) for kind in STYLES}
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the forces without the guard with the fading force under the guard."""
+        """Compare the forces without the guard with the force that the guard fades out."""
         tables = data.values()
         off = max(np.abs(t["guarded_at_end"] - t["theory_at_end"]).max() for t in tables)
         # 25 ms: the 20 ms of the fade, and the age that a repeated sample may have
@@ -141,7 +143,7 @@ class LostSamples(Page):
         )
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the force at the end of the fault against its duration, with and without guard."""
+        """Draw the force at fault end against fault duration, with and without guard."""
         panels = chart.subplots(1, 2, sharey=True)
         gap = 1e3 * data["late"]["gap_s"]
         for axes, column, title in (
@@ -165,8 +167,8 @@ class LostSamples(Page):
             )
 
 
-def forced(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
-    """Measure the forces [N] in the ticks just before and at a position jump.
+def forces_at_jump(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
+    """Measure the forces [N] in the tick before a position jump and in the tick of the jump.
 
     The jump displaces the sample into the wall by ``jump_m`` [m]. The third result is the number of
     samples that the guard rejected.
@@ -174,7 +176,7 @@ def forced(jump_m: float, *, guarded: bool) -> tuple[float, float, int]:
     # one sample only: times of ticks are sums with rounding; the run ends right after it
     half = 0.5 * TICK_S
     fault = Fault("jump", FAULT_S - half, FAULT_S + half, jump_m)
-    size, guard = pressed(fault, seconds=FAULT_S + 3e-3, guarded=guarded)
+    size, guard = simulate_press(fault, seconds=FAULT_S + 3e-3, guarded=guarded)
     return float(size[FIRST - 1]), float(size[FIRST]), 0 if guard is None else guard.bad_ticks
 
 
@@ -196,8 +198,8 @@ class WildInput(Page):
         # a damaged sample may hold any number
         far = 10.0 ** np.array([-1, 0, 2, 4, 6, 9])
         jumps = np.sort(np.concatenate([np.geomspace(1e-4, 1e-2, 6), near, far]))
-        bare = np.array([forced(jump, guarded=False) for jump in jumps.tolist()])
-        guarded = np.array([forced(jump, guarded=True) for jump in jumps.tolist()])
+        bare = np.array([forces_at_jump(jump, guarded=False) for jump in jumps.tolist()])
+        guarded = np.array([forces_at_jump(jump, guarded=True) for jump in jumps.tolist()])
         return {
             "jump": {
                 "jump_m": jumps,
@@ -210,7 +212,7 @@ class WildInput(Page):
         }
 
     def judge(self, data: Data) -> Verdict:
-        """Compare the force at one wrong sample with and without the sample guard."""
+        """Compare the force in the tick of a wrong sample with and without the sample guard."""
         table = data["jump"]
         beyond = table["jump_m"] > VALID_M
         off = error_of(table["bare_N"], table["theory_N"])

@@ -171,7 +171,7 @@ They range from below the lowest bound 2 f / Δ to just below the critical stiff
 
 
 class Push:
-    """Hand that pushes with a constant force, and with 2 N more in the first tick."""
+    """Hand that pushes with a constant force, increased by 2 N in the first tick."""
 
     def __init__(self, steady_N: float) -> None:
         self._steady = steady_N
@@ -184,10 +184,11 @@ class Push:
 
 
 def swing_steps(stiffness: float, friction: float) -> float:
-    """Measure the peak-to-peak motion in the last third of a run [encoder steps].
+    """Measure the peak-to-peak motion [encoder steps] in the last third of a run.
 
-    The result is the larger of the motions with the two forces in `PUSHES_N`. The wall is a spring
-    that acts in both directions: it also pulls back a device that has left the wall.
+    The run is repeated for both pushing forces in `PUSHES_N`; the result is the larger motion. The
+    wall is a spring that acts in both directions: it also pulls back a device that has left the
+    wall.
     """
     worst = 0.0
     for steady in PUSHES_N:
@@ -205,7 +206,7 @@ def swing_steps(stiffness: float, friction: float) -> float:
 
 
 class Quantisation(Page):
-    """Buzzing of a device if its friction does not dissipate the energy from encoder steps."""
+    """Buzzing of a device whose friction does not dissipate the energy from encoder steps."""
 
     name = "quantisation"
     title = "Quantisation: encoder steps against friction"
@@ -251,7 +252,7 @@ class Quantisation(Page):
         }
 
     def judge(self, data: Data) -> Verdict:
-        """Check that buzzing starts above the passive bound and below the critical stiffness.
+        """Check that buzzing starts between the passivity bound and the critical stiffness.
 
         The bound is min(2 b / T, 2 f / Δ), with damping b, tick T, Coulomb friction f and encoder
         step Δ.
@@ -274,7 +275,7 @@ class Quantisation(Page):
         )
 
     def draw(self, data: Data, chart: Figure) -> None:
-        """Draw the wall stiffnesses with and without buzzing against the friction."""
+        """Draw the largest quiet and the smallest buzzing wall stiffness against the friction."""
         axes = chart.subplots()
         table = data["friction"]
         friction = table["friction_N"]
@@ -308,7 +309,7 @@ energy to the device.
 
 
 def point_proxy(thickness_m: float, *, start_m: float) -> Proxy:
-    """Return the proxy of a point tool at the height `start_m`; the wall's middle is z = 0."""
+    """Return the proxy of a point tool at the height `start_m`, at a wall centred on z = 0."""
     # 0.1 m wide, while devices move along z only
     wall = Box(np.zeros(3), np.array([0.1, 0.1, thickness_m]))
     proxy = Proxy(ToolShell.ball(), ContactField(wall))
@@ -394,7 +395,7 @@ class ThinWalls(Page):
         """Compare the crossing speed with theory, and count the devices that a proxy stops.
 
         In theory, a device crosses the wall if its kinetic energy exceeds the energy of the wall's
-        spring at half the thickness.
+        spring when compressed by half the thickness.
 
         A device counts as stopped if it ends on the side from which it was thrown.
         """
@@ -407,9 +408,10 @@ class ThinWalls(Page):
             # leave it before it was pushed much.
             (np.abs(ratio - 1.0) < 0.25).all(),
             kept == len(thrown["end_m"]),
-            f"Devices cross the penalty wall from {ratio.min():.2f} to {ratio.max():.2f} times the "
-            f"speed (h/2)√(K/m) on: a wall of {1e3 * penalty['thickness_m'][0]:.1f} mm at "
-            f"{1e3 * penalty['crossed_from_m_s'][0]:.0f} mm/s. With the proxy {kept} of "
+            f"The lowest speed at which a device crosses the penalty wall is {ratio.min():.2f} to "
+            f"{ratio.max():.2f} times (h/2)√(K/m). For a wall of "
+            f"{1e3 * penalty['thickness_m'][0]:.1f} mm, it "
+            f"is {1e3 * penalty['crossed_from_m_s'][0]:.0f} mm/s. With the proxy {kept} of "
             f"{len(thrown['end_m'])} devices come back, up to {thrown['speed_m_s'].max():g} m/s.",
         )
 

@@ -286,8 +286,8 @@ def questioner(
     """Yield a function that answers trials, and the largest force of the device [N].
 
     The answers come from the simulated observer with the name `observer`, or from a person if
-    `observer` is None. A real device is open inside the `with` block. It applies a force only
-    during the force intervals of a trial.
+    `observer` is None. A real device stays open until the ``with`` block ends. It applies force
+    only during the intervals of a trial in which a force is presented.
 
     Raises
     ------
@@ -310,7 +310,11 @@ def questioner(
         yield simulated_answers(people, observer_seed), limits.force_limit_N
         return
     if opened is None:
-        show("bars represent forces, as no force can be felt here: what is calibrated is the eye")
+        show(
+            "bars represent the forces, because no force can be felt here: the session "
+            "calibrates the "
+            "eye, not the sense of force"
+        )
         person = Person(None, limits=limits, read=read, show=show)
         yield lambda asked, _: person.answer(asked), limits.force_limit_N
         return
@@ -327,8 +331,7 @@ def begin(out: Path, observer: str, plan: Plan, *, overwrite: bool) -> TrialLog:
     Raises
     ------
     InputError
-        If the observer's file exists and may not be replaced, or the log belongs to another
-        session.
+        If `out` exists and `overwrite` is false, or if the log belongs to another session.
     """
     if out.suffix != ".json":
         raise InputError(

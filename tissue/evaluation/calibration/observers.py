@@ -46,16 +46,17 @@ class SimulatedObservers:
     """Simulated observers with known parameters, as arrays of shape (n,).
 
     The threshold of discrimination at the force F is kappa (F + offset). If two forces differ by
-    the threshold, the felt intensities differ by 0.954. Each felt intensity has noise of unit
-    variance, so 75 % of the answers at the threshold are right. A person rates a force F with the
-    number alpha (F / 1 N)^beta, with noise in the logarithm of the number.
+    the threshold, the felt intensities differ by 0.954 standard deviations of the noise. The noise
+    of each felt intensity has unit variance; 75 % of the answers at the threshold are then right. A
+    person rates a force F with the number alpha (F / 1 N)^beta, with noise in the logarithm of the
+    number.
 
     Attributes
     ----------
     alpha, beta
         Stevens' factor and exponent.
     kappa, offset_N
-        Weber fraction, and low-force term of the threshold [N].
+        Weber fraction, and offset [N] that increases the threshold at low forces.
     lapse
         Fraction of wrong answers if the difference of the forces is large (lapse rate).
     sigma
@@ -75,16 +76,17 @@ class SimulatedObservers:
     def correct(self, base_N: ArrayLike, step_N: ArrayLike, rng: np.random.Generator) -> Flags:
         """Return True for each observer who names the larger of two forces, shape (n,).
 
-        The forces are `base_N` and `base_N + step_N` [N]. For a step of 0, no answer is right.
+        The forces are `base_N` and `base_N + step_N` [N]. If the step is 0, there is no larger
+        force, and the results are random.
 
         Parameters
         ----------
         base_N, step_N
-            Smaller force, and difference of the larger force from it [N]. Each is a single value,
-            or one value for each observer, shape (n,).
+            The smaller force, and the difference between the two forces [N]. Each is a single
+            value, or one value for each observer, shape (n,).
         rng
-            Random generator of the noise. Equal generator states give equal noise, whatever the
-            forces.
+            Random generator of the noise. The noise depends only on the state of the generator, not
+            on the forces.
         """
         threshold = self.kappa * (np.asarray(base_N) + self.offset_N)
         return self.discriminate(D_PRIME_75 * np.asarray(step_N) / threshold, rng)
@@ -92,8 +94,8 @@ class SimulatedObservers:
     def discriminate(self, distance: ArrayLike, rng: np.random.Generator) -> Flags:
         """Return True for each observer who answers correctly, shape (n,).
 
-        ``distance`` is the felt difference of two forces, in standard deviations of the noise of
-        one force.
+        ``distance`` is the felt difference between two forces, divided by the standard deviation of
+        the noise of one felt force.
         """
         first, second = rng.standard_normal((2, len(self)))
         blind, guess = rng.random((2, len(self)))
@@ -111,19 +113,19 @@ class SimulatedObservers:
 
 
 def draw_observers(group: str, count: int, rng: np.random.Generator) -> SimulatedObservers:
-    """Draw observers of a group (novice, intermediate or expert) at random.
+    """Return random observers of a group (novice, intermediate or expert).
 
     The distributions of the observers' parameters are from ``observers.toml`` and
     ``perception.toml``.
     """
     people = replace(population(), kappa=constants("observers", group)["kappa"].value)
-    drawn: dict[str, Any] = people.draws(count, rng)
+    drawn: dict[str, Any] = people.draw(count, rng)
     return SimulatedObservers(**drawn)
 
 
 @dataclass(frozen=True)
 class Stimulus:
-    """Force in repeated trials: mean, and standard deviation between trials [N]."""
+    """Force that scatters between trials: its mean and its standard deviation [N]."""
 
     level_N: float
     scatter_N: float = 0.0
@@ -134,8 +136,8 @@ def calibrated_commands(
 ) -> list[Command]:
     """Calibrate people; return the force mapping of each person.
 
-    In the calibration, each person rates forces with numbers. With the mapped force, the person
-    feels the same intensity as the reference observer with the unchanged force.
+    In the calibration, each person rates forces with numbers. The mapped force feels as strong to
+    the person as the unchanged force feels to the reference observer.
 
     Parameters
     ----------
@@ -144,8 +146,8 @@ def calibrated_commands(
     rng
         Random generator of the scatter of the ratings.
     numbers
-        Number of forces that each person rates. With 0, the true exponent and factor are used,
-        without ratings.
+        Number of forces that each person rates. With 0, there are no ratings, and the true Stevens
+        exponent and factor of each person are used.
     """
     knee_N = TOUCH.knee_N
     wanted = intensity_of(reference_observer())
@@ -182,8 +184,8 @@ def share_right(
 ) -> Array:
     """Return the fraction of right answers of each person, shape (n,).
 
-    An answer is right if it names the stimulus with the larger mean as the stronger one. Two calls
-    with equal seeds and different `commands` have the same random numbers, so their results are
+    An answer is right if it names the stimulus with the larger mean as the stronger one. Calls with
+    the same seed use the same random numbers even if `commands` differs, so their results are
     paired.
 
     Parameters
@@ -199,7 +201,8 @@ def share_right(
     commands
         Force mapping of each person. None for unchanged forces.
     limits
-        Range of forces of the device. Forces near and above the upper end are compressed.
+        Range of forces of the device. Forces near or above the upper end are compressed into the
+        range.
     """
     if first.level_N > second.level_N:
         first, second = second, first
@@ -222,12 +225,12 @@ def share_right(
 def sensitivity(people: SimulatedObservers, first: Stimulus, second: Stimulus) -> Array:
     """Return the sensitivity d' of each person for two forces at the skin, shape (n,).
 
-    The scatter of the forces between trials is included. Let t = kappa (F + offset) be the
-    threshold at the weaker force F, with the person's Weber fraction kappa and offset. Let m and s
-    be the mean and the standard deviation of the difference between the two forces. On the scale of
-    d', the difference is then felt with mean 0.954 m / t and standard deviation 0.954 s / t, where
-    0.954 is d' at the threshold. In addition, each force is felt with noise of unit variance. d' is
-    the distance that gives the same fraction of right answers if the forces have no scatter.
+    The scatter of the forces between trials is included. Let kappa be the person's Weber fraction,
+    and let t = kappa (F + offset) be the threshold at the weaker force F. Let m and s be the mean
+    and the standard deviation of the difference between the two forces. Measured in units of d',
+    the felt difference has mean 0.954 m / t and standard deviation 0.954 s / t; d' is 0.954 at the
+    threshold. In addition, each force is felt with noise of unit variance. d' is the distance
+    between two forces without scatter that gives the same fraction of right answers.
     """
     weaker = min(first.level_N, second.level_N)
     per_newton = D_PRIME_75 / (people.kappa * (weaker + people.offset_N))

@@ -35,7 +35,7 @@ def pooled_trials(sessions: list[Session]) -> PopulationTrials:
 
 
 def new_person(fit: PopulationFit, *, trials: int, rng: np.random.Generator) -> Observer:
-    """Return an observer with the parameter distribution of a person who was not measured.
+    """Return an observer with the parameter distribution predicted for an unmeasured person.
 
     The distribution includes the spread between the people of the population. `trials` is the
     number of trials to which the population was fitted.
@@ -65,10 +65,10 @@ def new_person(fit: PopulationFit, *, trials: int, rng: np.random.Generator) -> 
 def fit_population(
     folder: Path, out: Path, *, seed: int, overwrite: bool, progress: bool = False
 ) -> list[str]:
-    """Fit the hierarchical model to all trial logs in a folder, and write the population.
+    """Fit the hierarchical model to all trial logs in a folder, and write the fitted population.
 
-    The written observer `out` has the parameter distribution of a person who was not measured. A
-    table next to this file contains, for every parameter of the population, the interval and the
+    The observer written to `out` has the parameter distribution predicted for an unmeasured person.
+    A table next to this file contains, for every parameter of the population, the interval and the
     convergence diagnostics. The returned sentences describe the result of the fit. With
     ``progress``, every Markov chain shows a progress bar.
 

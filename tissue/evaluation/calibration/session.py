@@ -35,8 +35,8 @@ class Plan:
     Attributes
     ----------
     seed
-        Seed that determines which interval holds the larger force, and the order of the forces that
-        are rated with numbers.
+        Seed that determines which interval has the larger force, and in which order forces are
+        rated.
     trials
         Number of trials in which two intervals are compared.
     numbers
@@ -75,7 +75,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Trial with two force intervals. The answer, 1 or 2, names the larger force."""
+    """Trial that compares two forces in turn; the answer, 1 or 2, names the larger force."""
 
     base_N: float
     step_N: float
@@ -187,7 +187,7 @@ class Session:
         )
 
     def observer(self, name: str) -> Observer:
-        """Return an observer with the mean and covariance of the present posteriors."""
+        """Return an observer with parameter mean and covariance from the present posteriors."""
         weber, offset, lapse, _ = self.plan.prior.parameters()
         coordinates = np.array([np.log(weber), np.log(offset), logit(lapse)])
         masses = self.threshold.posterior[:, 0]
@@ -244,15 +244,16 @@ class Session:
         # ten answers in a row are right by guessing once in a thousand sessions
         if count >= 10 and right == count:
             found.append(
-                f"all {count} comparisons were right: that bounds the threshold from above "
-                "alone, the Weber fraction "
-                f"lies below {100 * high:.1f} % with a probability of 95 %; ask more trials"
+                f"all {count} comparisons were right, which gives only an upper limit: the Weber "
+                f"fraction lies below {100 * high:.1f} % with a probability of 95 %. Ask more "
+                "trials"
             )
         # guessing gives this many right answers or more with a probability above 5 %
         if count >= 10 and binom.sf(right - 1, count, 0.5) > 0.05:
             found.append(
                 f"{right} of {count} comparisons were right, no more than by guessing: the "
-                "threshold lies above what was asked, nothing was felt, or 1 and 2 were mixed up"
+                "threshold lies above the compared differences, nothing was felt, or 1 and 2 were "
+                "mixed up"
             )
         prior = self.plan.prior
         lower, upper = (float(mass[0]) for mass in self.threshold.edge_mass())
@@ -263,14 +264,14 @@ class Session:
             if mass > EDGE_MASS:
                 found.append(
                     f"{100 * mass:.0f} % of the posterior lies at the prior's {side} Weber "
-                    f"fraction of {100 * bound:g} "
-                    f"%: the threshold may lie {word} it, and the prior decides; calibrate "
-                    "again with a wider one"
+                    f"fraction of {100 * bound:g} %, and the true fraction may lie {word} it. "
+                    "Calibrate again with a wider prior"
                 )
         # a slope needs two forces
         if len({force for force, _ in self.given}) < 2:
             found.append(
-                "fewer than two forces were given numbers: Stevens' exponent is the prior's"
+                "fewer than two forces were rated by numbers: Stevens' exponent has the value of "
+                "the prior"
             )
         return found
 
@@ -280,7 +281,7 @@ VERSION = 1
 
 
 def log_path(out: Path) -> Path:
-    """Return the path of the trial log of an observer's file.
+    """Return the path of the trial log that belongs to an observer file.
 
     The log of ``observer.json`` is ``observer.trials.jsonl`` in the same folder.
     """

@@ -31,7 +31,7 @@ from tissue.scene.coupling import Fidelity
 from tissue.scene.load import changed
 from tissue.scene.scene import Scene
 
-OFFERED_US = 800.0
+TICK_LIMIT_US = 800.0
 """Limit of the computing time of a tick [us], as 99th percentile, in the search for finer settings.
 
 If a finer setting exceeds the limit, no setting that is finer still is measured. The haptic loop
@@ -50,10 +50,10 @@ class Frontier:
     points
         One measurement for each setting.
     gap
-        Relative uncertainty of the reference force from which force errors are computed, see
-        `reference_gap`.
+        Relative uncertainty of the reference force; force errors are computed relative to this
+        force. See `reference_gap`.
     settings
-        Settings in the order of the points.
+        Numerical settings, in the same order as `points`.
     """
 
     scene: Scene
@@ -63,12 +63,12 @@ class Frontier:
 
     @property
     def best(self) -> tuple[Measured, ...]:
-        """Measurements that are Pareto-optimal in tick time and force error, cheapest first."""
+        """Measurements that are Pareto-optimal in tick time and force error, fastest first."""
         return tuple(undominated(self.points))
 
 
 def undominated(points: Sequence[Measured]) -> list[Measured]:
-    """Return the measurements that are Pareto-optimal in tick time and error, cheapest first."""
+    """Return the measurements that are Pareto-optimal in tick time and error, fastest first."""
     best: list[Measured] = []
     for point in sorted(points, key=lambda each: (each.median_us, each.force_error)):
         if not best or point.force_error < best[-1].force_error:
@@ -77,9 +77,9 @@ def undominated(points: Sequence[Measured]) -> list[Measured]:
 
 
 def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) -> Frontier:
-    """Return measurements for all settings of a scene; measure those that are not stored.
+    """Return measurements for all settings of a scene; measure settings without a stored result.
 
-    Every measurement is stored immediately, so that an interrupted chart can continue.
+    Every measurement is stored at once, so that an interrupted series of measurements can continue.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def frontier_of(scene: Scene, *, quick: bool = True, report: Progress = silent) 
         point = _measured(scene, setting, quick=quick)
         points.append(point)
         offered.append(setting)
-        full = full or (setting.finer and point.p99_us > OFFERED_US)
+        full = full or (setting.finer and point.p99_us > TICK_LIMIT_US)
     report(f"{scene.name}: reference", len(settings) / (len(settings) + 1))
     return Frontier(scene, tuple(points), _gap(scene, quick=quick), tuple(offered))
 
@@ -159,9 +159,9 @@ the error is too large for three of five motions on another tooth.
 def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) -> Measured:
     """Return the measurement of the cheapest setting that satisfies a demanded fidelity.
 
-    If only a computing time of a tick is demanded, the most accurate setting within this time is
-    chosen. Measured errors are multiplied by `SAFETY`. `gap` is the relative uncertainty of the
-    reference force; smaller errors count as `gap`.
+    If only the tick time is limited, the most accurate setting within this limit is chosen.
+    Measured errors are multiplied by `SAFETY`. `gap` is the relative uncertainty of the reference
+    force; smaller errors are replaced by `gap`.
 
     Raises
     ------
@@ -198,7 +198,7 @@ def choose(points: Sequence[Measured], wanted: Fidelity, *, gap: float = 0.0) ->
 
 
 def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, str]:
-    """Return a scene with the setting that its key `fidelity` demands, and the reason.
+    """Return a scene with a setting that satisfies its key `fidelity`, and the reason for it.
 
     The setting is chosen by `choose`. Settings that were not measured on this machine are measured
     first.
@@ -219,13 +219,14 @@ def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, st
     rank = "the cheapest" if wanted.force_error is not None else "the most accurate"
     names = "; ".join(each.name for each in found.settings)
     sentence = (
-        f"{setting.name}, of {names}: force {100.0 * point.force_error:.2g} % over ticks, "
-        f"{100.0 * point.error_50_ms:.2g} % over 50 ms, from {reference_words(scene, found.gap)}; "
-        f"tick {point.median_us:.0f} µs, 99 % {point.p99_us:.0f} µs, {rank} of "
-        f"{len(found.points)} settings that meets {_asked(wanted)}{law}"
+        f"{setting.name} is {rank} of {len(found.points)} settings that meets {_asked(wanted)}: "
+        f"force error of {100.0 * point.force_error:.2g} % over ticks and "
+        f"{100.0 * point.error_50_ms:.2g} % over 50 ms, against "
+        f"{reference_words(scene, found.gap)}; tick of {point.median_us:.0f} µs, 99 % of ticks "
+        f"below {point.p99_us:.0f} µs; measured settings: {names}{law}"
     )
     if force_only(plain):
-        sentence += "; leaves out displacement and stress, which no force needs"
+        sentence += "; without displacement and stress, which no force needs"
     return at, sentence
 
 

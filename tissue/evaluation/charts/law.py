@@ -45,7 +45,7 @@ def _pressed_by_a_ball(scene: Scene) -> bool:
 
 
 def linear_error(depth: float, law: str = LAW) -> float:
-    """Return the relative error of the linear law's force on a ball against a nonlinear law.
+    """Return the linear law's relative error of the force on a ball, compared with a nonlinear law.
 
     ``depth`` is the indentation divided by the radius of the ball. The error is interpolated in the
     table `LINEAR_ERROR` or `EXPONENTIAL_ERROR`, and is zero at zero depth. Beyond the last depth of
@@ -59,7 +59,7 @@ def linear_error(depth: float, law: str = LAW) -> float:
 
 
 def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
-    """Return a scene with an elastic law that satisfies a demanded force error, and the reason.
+    """Return a scene whose law satisfies a demanded force error, and the reason for this law.
 
     The reason is a text that is appended to a sentence. It is empty if this function keeps the law
     of the scene.
@@ -67,8 +67,8 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
     Parameters
     ----------
     scene
-        Scene. The law is chosen only if a script moves a spherical probe against an organ. Other
-        scenes keep their law.
+        Scene. The law is chosen only if the scene's motion, not a hand, moves a spherical probe
+        against an organ. Other scenes keep their law.
     wanted
         Demanded fidelity.
 
@@ -119,7 +119,7 @@ def with_law(scene: Scene, wanted: Fidelity) -> tuple[Scene, str]:
                 f"be reachable with a law of {scene.name} on this machine",
                 f"force_error = {wanted.force_error:g}, tick_ms = {wanted.tick_ms:g}",
                 (
-                    f"raise one of both: {of_linear}, and organ.law = {needed} needs "
+                    f"raise one of these two values: {of_linear}, and organ.law = {needed} needs "
                     f"tick_ms = {tick_ms:.2g}"
                 ),
             )

@@ -16,9 +16,9 @@ from tissue.evaluation.charts.settings import (
     grids,
     machine,
     placed,
+    relative_edges,
     scene_text,
     settings_of,
-    shares,
     sources,
 )
 from tissue.evaluation.reference.history import (
@@ -37,12 +37,12 @@ from tissue.simulation.simulate import TICK_S, simulate
 
 
 def of_model(scene: Scene) -> Scene:
-    """Return the scene without its device, so that the scripted motion moves the tool."""
+    """Return the scene without its device; the tool then follows the scene's motion."""
     return changed(scene, {"device": "none"})
 
 
 def grid_force_N(scene: Scene, changes: Changes) -> Array:
-    """Compute the force on the tool [N], shape (n, 3), with a changed model of a scene.
+    """Compute the force on the tool [N], shape (n, 3), in a scene with changed model settings.
 
     The result is stored on disk.
     """
@@ -56,10 +56,11 @@ def grid_force_N(scene: Scene, changes: Changes) -> Array:
 
 
 def force_and_reference_N(run: Run, scene: Scene, *, quick: bool) -> tuple[Array, Array]:
-    """Return the force of a run and the reference force for its motion [N], each shape (n, 3).
+    """Return the force of a run and the reference force for the same motion [N], each shape (n, 3).
 
-    If a hand moves the tool, the first force is the force that the device applies. The reference is
-    then the force of the finest model without delay of the haptic loop.
+    If a hand moves the tool, the returned force of the run is the filtered force before it is
+    compressed to the range of the device. The reference is then the force of the finest model,
+    without the delay of the haptic loop.
     """
     if scene.device is not None:
         # the force before it is compressed to the range of the device
@@ -76,11 +77,11 @@ def reference_gap(scene: Scene, *, quick: bool, by_hand: bool = False) -> float:
 
     Force errors below this uncertainty are not significant.
 
-    If the geometry is known exactly and a script moves the tool, the reference is the force on the
-    exact geometry, and its numerical uncertainty is returned. If a hand moves the tool, the
-    reference is the force on the finest grid, and its difference from the force on the exact
-    geometry is returned. Without an exact geometry, the grid-convergence index of the finest grid
-    is returned. For a wall or a needle, the result is zero.
+    If the geometry is known exactly and no hand moves the tool, the reference is the force on the
+    exact geometry. The numerical uncertainty of this force is returned. If a hand moves the tool,
+    the reference is the force on the finest grid. Its relative difference from the force on the
+    exact geometry is returned. Without an exact geometry, the grid-convergence index of the finest
+    grid is returned. For a wall or a needle, the result is zero.
     """
     model = of_model(scene)
     if not has_exact_geometry(model):
@@ -89,7 +90,7 @@ def reference_gap(scene: Scene, *, quick: bool, by_hand: bool = False) -> float:
         if not changes:
             return 0.0
         forces = [grid_force_N(model, each) for each in changes]
-        return grid_index(forces, shares(model, quick=quick)).index[-1]
+        return grid_index(forces, relative_edges(model, quick=quick)).index[-1]
     run = simulate(changed(model, finest(model, quick=quick) if by_hand else {"stress": None}))
     exact = reference_force(model, run.trace)
     if not by_hand:
@@ -107,14 +108,16 @@ def reference_words(scene: Scene, gap: float) -> str:
         return f"the exact geometry (known to {percent})"
     if not grids(model, quick=True):
         return (
-            "a prompt loop with the model, which has no grid"
+            "a loop without latency, with the model itself, which has no grid"
             if by_hand
             else "the model itself, which has no grid"
         )
-    grid = "a prompt loop with the finest grid" if by_hand else "the finest of three grids"
+    grid = (
+        "a loop without latency, with the finest grid" if by_hand else "the finest of three grids"
+    )
     if exact:
-        return f"{grid} ({percent} off the exact geometry)"
-    return f"{grid} (grid-convergence index {percent}, of the discretisation alone)"
+        return f"{grid} (which differs by {percent} from the exact geometry)"
+    return f"{grid} (grid-convergence index of {percent}, for the discretisation alone)"
 
 
 EXCERPT_S = {True: 1.2, False: 3.0}
@@ -156,11 +159,11 @@ class Measured:
     Attributes
     ----------
     scene, setting, family, machine
-        Names of scene, setting and family of settings, and the machine on which the times were
+        The names of the scene, the setting and its family, and the machine on which times were
         measured.
     force_error
-        ||F - F_ref|| / ||F_ref|| over the ticks of a run. Of several tested tool positions, the
-        largest value.
+        ||F - F_ref|| / ||F_ref|| over the ticks of a run. If several tool positions were tested, it
+        is the largest value.
     error_50_ms
         The error `force_error` after both forces are averaged over 50 ms.
     median_us, p99_us, missed
@@ -182,9 +185,9 @@ class Measured:
 def short_of(scene: Scene, quick: bool) -> Scene:
     """Return the shortened scene that is run at each numerical setting.
 
-    A scene with a device and a spinning tool is not shortened. At the start of a cut, the force of
-    the hand is smaller than the friction of the device. The force error of a short run would
-    therefore be random.
+    A scene with a device and a spinning tool is not shortened. The reason is that, at the start of
+    a cut, the force of the hand is smaller than the friction of the device. The force error of a
+    short run would therefore be random.
     """
     cuts = isinstance(scene.tool, Tool) and scene.tool.spin_rpm != 0.0
     if scene.device is not None and cuts:
@@ -195,9 +198,9 @@ def short_of(scene: Scene, quick: bool) -> Scene:
 def excerpt(scene: Scene, coarse: Changes, *, quick: bool) -> Scene:
     """Return the scene up to `EXCERPT_S` after the first contact, with less bone around the path.
 
-    The path is the same for a hand and for a script. With a hand, the run lasts `LATE_S` longer.
-    ``coarse`` contains the changes of the scene for a coarse setting. The time of the first contact
-    is computed with this setting.
+    The tool path is the same whether a hand or the scene's motion moves the tool. If a hand moves
+    the tool, the run lasts `LATE_S` longer. ``coarse`` contains the scene values that define a
+    coarse setting. The time of the first contact is computed with this setting.
     """
     if isinstance(scene.tool, Tool):
         # a hand deviates from its path, so it needs more margin of the scene

@@ -51,8 +51,8 @@ class PredictorComparison:
     errors
         Relative force errors, shape (runs, horizons), keyed by the name of the predictor.
     cost_us
-        Median and 99th percentile of the computing time of a predictor in a tick [us], keyed by the
-        name of the predictor.
+        Median and 99th percentile of the computing time per tick [us], keyed by the name of the
+        predictor.
     """
 
     scene: str
@@ -165,7 +165,7 @@ def chart_prediction(
     overwrite: bool,
     report: Progress = silent,
 ) -> list[PredictorComparison]:
-    """Compare the predictors on scenes; write pictures and tables into a folder.
+    """Compare the predictors on the given scenes; write pictures and tables into a folder.
 
     The pictures are ``prediction_SCENE.png`` and ``prediction_tasks.png``. `file` is the file of
     the trained predictor, for a single scene.
@@ -194,7 +194,7 @@ def chart_prediction(
 
 
 def comparison_lines(found: Sequence[PredictorComparison]) -> list[str]:
-    """Return the prediction errors at a horizon of 4 ms in words, with comparisons of predictors.
+    """Describe the prediction errors at a horizon of 4 ms in words, and compare the predictors.
 
     The predictor `OURS` and every registered predictor are compared with zero-order hold and with
     the best of the remaining predictors. A predictor is called better or worse only if the 95 %
@@ -230,7 +230,7 @@ def _verdict(found: PredictorComparison, kind: str, at_delay: Mapping[str, Inter
     ratio = at_delay[kind].mean / at_delay["hold"].mean
     return (
         f"{found.scene:>12}  {kind}: {ratio:.2f} times the error of hold. It is {verdict} the best "
-        f"other, {best}: their errors in the same run differ by {100 * apart.mean:+.2f} "
+        f"other predictor, {best}: the errors in the same run differ by {100 * apart.mean:+.2f} "
         f"({100 * apart.low:+.2f} to {100 * apart.high:+.2f})"
     )
 

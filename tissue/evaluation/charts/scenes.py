@@ -67,7 +67,7 @@ def chart_scenes(
 
 
 def charted(scene: Scene) -> list[Scene]:
-    """Return the variants of a scene to measure: with a scripted tool, with a hand, or both.
+    """Return the variants of a scene to measure: with the scene's motion, with a hand, or both.
 
     A scene with a device is measured only with a hand, unless the tool cuts.
     """
@@ -87,18 +87,20 @@ def notes_before(names: Sequence[str]) -> list[str]:
         for kind in charted(load_scene(name)):
             if kind.device is not None and (missing := untrained(kind)):
                 notes.append(
-                    f"{name}: {', '.join(missing)} are left out, no trained predictor. "
+                    f"{name}: {', '.join(missing)} are left out, because they are not trained. "
                     f"Train one with 'tissue train {name}'."
                 )
     return notes
 
 
 def chart_lines(found: Sequence[Sequence[Frontier]]) -> list[str]:
-    """Describe measured scenes in words, with a line for each Pareto-optimal setting."""
+    """Describe measured scenes in words; each Pareto-optimal setting has its own line."""
     lines = []
     for each in (frontier for both in found for frontier in both):
         scene = each.scene
-        lines.append(f"{scene.name} {_how(scene)}, held to {reference_words(scene, each.gap)}")
+        lines.append(
+            f"{scene.name} {_how(scene)}, compared with {reference_words(scene, each.gap)}"
+        )
         if any(point.family == "cutting" for point in each.points):
             lines.append(
                 "  simpler laws and drills: error against the scene's own law, not against "
@@ -133,7 +135,7 @@ FAMILIES = {
 
 Most colours are from Okabe and Ito (2008).
 """
-LEAST = 1e-4
+SMALLEST_PERCENT = 1e-4
 """Error [%] that replaces zero on logarithmic axes."""
 BY = {"script": ("#0072B2", "by script: model"), "hand": ("#B34700", "by hand: loop")}
 """Colour and label for scripted and hand-held tools in the picture of all scenes."""
@@ -156,7 +158,7 @@ def draw_frontiers(found: Sequence[Frontier], path: Path) -> None:
 
 
 def draw_overview(found: Sequence[Sequence[Frontier]], path: Path) -> None:
-    """Draw the Pareto-optimal settings of each scene, for scripted and hand-held tools.
+    """Draw the Pareto-optimal settings of each scene, with tools on a given path or in a hand.
 
     There is one panel for each scene. The settings are numbered, and the names of the settings are
     listed next to the panel.
@@ -236,8 +238,11 @@ def _draw_frontier(axes: Axes, found: Frontier) -> None:
 
 
 def _percent(error: float) -> float:
-    """Return an error in per cent, at least `LEAST` so that a logarithmic axis can show it."""
-    return max(100.0 * error, LEAST)
+    """Return an error in per cent, at least `SMALLEST_PERCENT`.
+
+    A logarithmic axis cannot show the value 0.
+    """
+    return max(100.0 * error, SMALLEST_PERCENT)
 
 
 def _log_axes(axes: Axes, **settings: str) -> None:

@@ -58,7 +58,7 @@ Changes = Mapping[str, object]
 
 @dataclass(frozen=True)
 class Setting:
-    """Numerical setting of a scene, whose computing time and force error are measured.
+    """Numerical setting of a scene; its tick time and force error are measured.
 
     Attributes
     ----------
@@ -68,10 +68,10 @@ class Setting:
         Kind of the varied parameter: "voxels", "shell", "cutting", "elements", "path", "stress" or
         "loop"; "model" if nothing is varied.
     changes
-        Changes of the scene: values by dotted key. A value of None removes the entry.
+        New values of scene keys, by dotted key. The value None removes the key from the scene.
     finer
-        True if the setting is finer than the scene. Such a setting is measured only if the previous
-        finer setting is fast enough.
+        True if the setting is finer than the scene's own setting. Finer settings are measured in
+        order, as long as the last one measured was fast enough.
     """
 
     name: str
@@ -81,7 +81,7 @@ class Setting:
 
 
 def by_hand(scene: Scene) -> Scene:
-    """Return the scene with a haptic device and with a latency."""
+    """Return a copy of the scene in which a haptic device with latency moves the tool."""
     changes: dict[str, object] = {} if scene.device is not None else {"device": "touch"}
     # without a latency, predictors have nothing to predict
     if scene.device is None or scene.device.coupling.delay_ms == 0:
@@ -115,15 +115,16 @@ def settings_of(scene: Scene, *, quick: bool) -> list[Setting]:
 
 
 def finest(scene: Scene, *, quick: bool) -> Changes:
-    """Return the changes that give a scene the finest grid; empty if it has no grid.
+    """Return the changes that give a scene the finest grid; no changes if the scene has no grid.
 
-    The finest grid is the reference of haptic loops, and of models without an exact geometry.
+    Forces on the finest grid are the reference for haptic loops, and for models without an exact
+    geometry.
     """
     return (grids(scene, quick=quick) or [{}])[-1]
 
 
-def shares(scene: Scene, *, quick: bool) -> tuple[float, ...]:
-    """Return the edge lengths of three grids relative to the scene, coarsest first.
+def relative_edges(scene: Scene, *, quick: bool) -> tuple[float, ...]:
+    """Return the edge lengths of three grids divided by the scene's edge length, coarsest first.
 
     The result is empty for a scene without a grid.
     """
@@ -133,20 +134,20 @@ def shares(scene: Scene, *, quick: bool) -> tuple[float, ...]:
 
 
 def grids(scene: Scene, *, quick: bool) -> list[Changes]:
-    """Return the changes that give a scene each of three grids, coarsest first.
+    """Return the changes that give a scene a coarse, a medium and a fine grid, coarsest first.
 
     The changes also select the most accurate numerical method.
     """
     best: dict[str, object] = {"organ.order": 2, "organ.path": "condensed"}
     if isinstance(scene.tool, Tool):
         best = {"voxels.removal": "subvoxel"}
-    return [refined(scene, share) | best for share in shares(scene, quick=quick)]
+    return [refined(scene, share) | best for share in relative_edges(scene, quick=quick)]
 
 
 def refined(scene: Scene, share: float) -> dict[str, object]:
     """Return the changes that multiply all edge lengths of the scene's grid by `share`.
 
-    The changes also switch off computed fields, such as stress, that do not influence the force.
+    The changes also switch off computed fields that do not influence the force, such as stress.
     """
     lengths: dict[str, float] = {}
     if isinstance(scene.tool, Tool):
@@ -165,7 +166,7 @@ def refined(scene: Scene, share: float) -> dict[str, object]:
 
 
 def placed(scene: Scene) -> list[Scene]:
-    """Return the scene with its tool path at each of the three positions in `PLACES`.
+    """Return copies of the scene with its tool path at the three positions in `PLACES`.
 
     For a scene without a grid, with a device or without a path, the list contains only the
     unchanged scene.
@@ -274,11 +275,11 @@ def _voxels(scene: Scene, tool: Tool, *, quick: bool) -> Iterator[Setting]:
 
 
 def simpler(scene: Scene, tool: Tool) -> dict[str, Changes]:
-    """Return the changes for simpler cutting laws and a simpler drill, by name.
+    """Return the scene changes, keyed by name, for simpler cutting laws and a simpler drill.
 
     Each entry omits one part of the model: the size effect, the minimum chip thickness ("linear
-    law"), or the web of the drill. The linear law omits the size effect too. Without a minimum chip
-    thickness, the size effect would grow without bound.
+    law"), or the web of the drill. The linear law omits the size effect too. The reason is that,
+    without a minimum chip thickness, the size effect would grow without bound.
     """
     found: dict[str, Changes] = {}
     if _of_law(scene, "minimum_chip_um") > 0.0:
@@ -360,7 +361,7 @@ PACKAGES = ("meshes", "kernels", "tissue")
 def scene_text(scene: Scene) -> str:
     """Return a text with the values of a scene that determine its results.
 
-    Description and fidelity are left out.
+    The keys `description` and `fidelity` are left out.
     """
     words = {"description": "", "fidelity": None, "materials": ""}
     return scene.model_copy(update=words).to_toml() + scene.constants.key
@@ -380,8 +381,8 @@ def machine() -> str:
 def sources() -> str:
     """Return a checksum of all code and constants.
 
-    The checksum identifies stored measurements, which may change with any part of the code and with
-    any constant. Plug-ins that other packages register are included.
+    Stored measurements are identified by the checksum, because any change of code or constants may
+    change a measurement. Plug-ins that other packages register are included.
     """
     # 8 bytes: only compared with checksums of other versions of the code
     digest = blake2b(code_sha256().encode(), digest_size=8)

@@ -66,7 +66,7 @@ class Solid:
     minus: Shape | None = None
 
     def distance(self, points: Array) -> Array:
-        """Return a bound of the signed distance from the solid [m], shape (n,), negative inside.
+        """Return a bound [m] of the signed distance from the solid, shape (n,), negative inside.
 
         The bound is 1-Lipschitz. The points [m], shape (n, 3), are in the world frame.
         """
@@ -111,7 +111,7 @@ class Resolution:
     Attributes
     ----------
     coarsest
-        Number of cells along a length of one tool radius, before cells are divided.
+        Number of cells per tool radius, before any cell is divided.
     divisions
         Number of times that a cell can be divided into four.
     """
@@ -232,7 +232,7 @@ class _AtTick:
         kept = kept[inside]
         world = world[inside]
         depth = depth[inside]
-        swept = self.path.swept_distance(self.tick, self.parts, world, within=reach[kept])
+        swept = self.path.swept_distance(self.tick, self.parts, world, limit_m=reach[kept])
         left = swept > -reach[kept]
         kept = kept[left]
         depth = depth[left]
@@ -270,8 +270,8 @@ class _AtTick:
             engaged = (advance > 0.0) & (self.solid.distance(world) < 0.0)
             found = np.flatnonzero(engaged)
             # twice: larger distances are only known to be larger, and `TOUCHING_M` must be decided
-            within = np.full(len(found), 2.0 * TOUCHING_M)
-            swept = self.path.swept_distance(self.tick, self.parts, world[found], within=within)
+            limit_m = np.full(len(found), 2.0 * TOUCHING_M)
+            swept = self.path.swept_distance(self.tick, self.parts, world[found], limit_m=limit_m)
             found = found[swept > TOUCHING_M]
             points = points[found]
             normals = normals[found]

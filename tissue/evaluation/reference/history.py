@@ -61,9 +61,9 @@ class ReferenceForce:
         Force on the tool [N] and torque about its tip [N m] at every tick, in the world frame,
         shape (n, 6).
     uncertainty
-        Relative error of the reference force. The error is the difference from a computation with
-        twice the resolution, and includes the interpolation error. Error and force are root mean
-        squares over a sample of the ticks in contact.
+        Relative error of the reference force. The error is estimated as the difference from a
+        computation at twice the resolution, and includes the interpolation error. Error and force
+        are root mean squares over a sample of the ticks in contact.
     """
 
     wrench: Array
@@ -94,7 +94,7 @@ def has_exact_geometry(scene: Scene) -> bool:
 
 
 def solid_of_scene(scene: Scene) -> Solid:
-    """Return the solid that a scene's tool cuts, as functions of position.
+    """Return the solid that a scene's tool cuts, described by functions of position.
 
     Raises InputError if the anatomy comes from a file.
     """
@@ -107,9 +107,9 @@ def solid_of_scene(scene: Scene) -> Solid:
 def reference_force(
     scene: Scene, trace: Table, *, resolution: Resolution | None = None
 ) -> ReferenceForce:
-    """Compute the reference force on the exact geometry for the motion in a trace.
+    """Compute the reference force on the exact geometry along the motion in a trace.
 
-    The result is stored on disk for each motion, anatomy and tool.
+    The result is stored on disk; it is reused for the same motion, anatomy and tool.
 
     Raises
     ------
@@ -120,12 +120,12 @@ def reference_force(
     cutter = cutter_of(scene.tool)
     path = path_of_trace(trace, cutter)
     solid = solid_of_scene(scene)
-    kept_by = (
+    cache_key = (
         scene.bone,
         scene.tool.model_copy(update={"shell_spacing_mm": None}),
         solid.coefficients,
     )
-    return force_on_path(path, cutter, solid, kept_by=kept_by, resolution=resolution)
+    return force_on_path(path, cutter, solid, cache_key=cache_key, resolution=resolution)
 
 
 def force_on_path(
@@ -133,15 +133,15 @@ def force_on_path(
     cutter: Cutter,
     solid: Solid,
     *,
-    kept_by: tuple[object, ...] = (),
+    cache_key: tuple[object, ...] = (),
     resolution: Resolution | None = None,
 ) -> ReferenceForce:
     """Compute the reference force on the exact geometry along a tool path.
 
     Parameters
     ----------
-    kept_by
-        Values that identify cutter and solid in the cache on disk. If the tuple is empty, the
+    cache_key
+        Values that identify the cutter and the solid in the disk cache. If the tuple is empty, the
         result is not stored.
     """
     fine = resolution or Resolution()
@@ -171,12 +171,12 @@ def force_on_path(
         path.rotations,
         path.velocities,
         path.turnings,
-        *kept_by,
+        *cache_key,
         fine,
         INTERPOLATION,
         COARSEST_TICKS,
     )
-    found = cached_arrays("reference-force", key, make) if kept_by else make()
+    found = cached_arrays("reference-force", key, make) if cache_key else make()
     return ReferenceForce(found["wrench"], found["uncertainty"].item())
 
 
@@ -321,7 +321,7 @@ def grid_index(forces_N: Sequence[Array], spacings: Sequence[float]) -> Order:
 
 
 def observed_order(coarse: float, fine: float, spacings: Sequence[float]) -> float:
-    """Return the order p of an error C h^p, from the differences of forces on three grids.
+    """Compute the order p of an error C h^p from the differences between the forces on three grids.
 
     ``coarse`` is the difference between the forces on the grids with the spacings h3 and h2.
     ``fine`` is the difference between the forces on the grids with h2 and h1.

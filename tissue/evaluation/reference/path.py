@@ -65,11 +65,11 @@ class ConvexPart:
         outside = ((lengths <= least + 1e-12) & (sides > 0.0)).any(axis=0)
         return np.where(outside, least, -least)
 
-    def least_on_path(self, start: Array, end: Array, *, within: Array) -> Array:
-        """Return the smallest signed distance [m] between the body and each moving point.
+    def least_on_path(self, start: Array, end: Array, *, limit_m: Array) -> Array:
+        """Return each moving point's smallest signed distance [m] from the body along its path.
 
         The points move straight from ``start`` to ``end``, shape (n, 3) [m]. A result that is
-        larger than ``within``, shape (n,) [m], is only a lower bound of the distance.
+        larger than ``limit_m``, shape (n,) [m], is only a lower bound of the distance.
         """
         height, radius = self.bounding_ball
         bound = _to_segment(np.array([0.0, 0.0, height]), start, end) - radius
@@ -78,7 +78,7 @@ class ConvexPart:
             arc = self.pieces[0]
             assert isinstance(arc, Arc)
             return _to_segment(np.array([0.0, 0.0, arc.centre[1]]), start, end) - arc.radius
-        near = np.flatnonzero(bound < within)
+        near = np.flatnonzero(bound < limit_m)
         if len(near):
             bound[near] = self._search(start[near], end[near] - start[near])
         return bound
@@ -178,8 +178,8 @@ class ToolPath:
     reach_m
         Largest distance of the tool's surface from its tip [m].
     legs
-        First and last tick of each leg, shape (legs, 2). A leg is a part of the path that is
-        straight in the tool's frame and does not reverse.
+        First and last tick of each leg, shape (legs, 2). A leg is a part of the path that is a
+        straight line, seen in the tool's frame, and does not reverse.
     """
 
     tips_m: Array
@@ -201,15 +201,15 @@ class ToolPath:
         return self.tips_m[tick] + points @ self.rotations[tick].T
 
     def swept_distance(
-        self, tick: int, parts: tuple[ConvexPart, ...], points: Array, *, within: Array
+        self, tick: int, parts: tuple[ConvexPart, ...], points: Array, *, limit_m: Array
     ) -> Array:
         """Return the signed distance [m] from the volume that the tool has swept before a tick.
 
         The distance is negative inside this volume, and infinite if nothing was swept. The points,
-        shape (n, 3), are in the world frame. In the leg of the tick, the first entry of `parts` is
-        ignored. On a straight path, the advancing surface points of a convex body were not inside
-        the body before. A result that is larger than ``within``, shape (n,) [m], is only a lower
-        bound of the distance.
+        shape (n, 3), are in the world frame. For the leg that contains the tick, the first entry of
+        `parts` is ignored. This is allowed because, on a straight path, advancing surface points of
+        a convex body were never inside it before. A result that is larger than ``limit_m``, shape
+        (n,) [m], is only a lower bound of the distance.
         """
         distance = np.full(len(points), np.inf)
         for start, end in self.legs[self.legs[:, 0] < tick]:
@@ -219,7 +219,9 @@ class ToolPath:
             begins = self.in_tool(start, points)
             ends = self.in_tool(min(end, tick), points)
             for part in parts[1:] if present else parts:
-                np.minimum(distance, part.least_on_path(begins, ends, within=within), out=distance)
+                np.minimum(
+                    distance, part.least_on_path(begins, ends, limit_m=limit_m), out=distance
+                )
         return distance
 
     def _found_legs(self) -> NDArray[np.intp]:

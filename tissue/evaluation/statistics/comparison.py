@@ -41,7 +41,7 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class MetricComparison:
-    """Tests of methods and user groups by one metric on one task.
+    """Tests that compare methods and user groups in one metric of one task.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class MetricComparison:
 def compare(
     table: TrialTable, metric: str, *, task: str, rng: np.random.Generator
 ) -> MetricComparison:
-    """Compare methods and groups by one metric on one task.
+    """Compare methods and groups in one metric of one task.
 
     Parameters
     ----------
@@ -84,8 +84,8 @@ def compare(
     Raises
     ------
     InputError
-        If there is only one method and one group, a group has only one user, or the metric is
-        constant.
+        If there is only one method and only one group, if a group has only one user, or if the
+        metric is constant.
     """
     require_statsmodels()
     cells = table.where(task=task).cells(metric)
@@ -126,8 +126,8 @@ def across_tasks(
 ) -> list[HypothesisTest]:
     """Test a metric over all tasks by sign flips and by a linear mixed model.
 
-    Each test by sign flips has the test of the mixed model as an alternative. A sign-flip test is
-    impossible if its error term has no variation. The test of the mixed model is then returned
+    Each sign-flip test lists the mixed-model test in its `alternatives`. A sign-flip test is
+    impossible if the scores do not vary between users. The test of the mixed model is then returned
     instead, with a note.
     """
     mixed = mixed_model(table, metric)
@@ -148,7 +148,7 @@ def across_tasks(
 
 
 def stratum_test(
-    cells: Cells, within: tuple[int, ...], *, between: bool, rng: np.random.Generator
+    cells: Cells, factor_indices: tuple[int, ...], *, between: bool, rng: np.random.Generator
 ) -> tuple[HypothesisTest, SignTest]:
     """Test one effect by sign flips, with F tests as alternatives.
 
@@ -156,7 +156,7 @@ def stratum_test(
     ----------
     cells
         Means of a metric over the trials of each user.
-    within
+    factor_indices
         Indices into ``cells.factors``: the factors that belong to the effect.
     between
         True for an effect of the group, or an interaction with the group.
@@ -166,16 +166,16 @@ def stratum_test(
     Returns
     -------
     tuple of HypothesisTest and SignTest
-        The test, and the results of the comparisons of all pairs.
+        The test, and the results of all pairwise comparisons.
     """
     values = cells.values
     groups = cells.groups
     sizes = cells.sizes
     name = " x ".join(
-        (["group"] if between else []) + [cells.factors[index][0] for index in within]
+        (["group"] if between else []) + [cells.factors[index][0] for index in factor_indices]
     )
     question = f"{cells.metric}: {name}"
-    exact = strata(values, groups, sizes, within, between=between)
+    exact = strata(values, groups, sizes, factor_indices, between=between)
     if exact.error_square <= (ROUNDING * np.abs(values).max()) ** 2:
         raise InputError(
             cells.metric,
@@ -183,7 +183,7 @@ def stratum_test(
             f"no variation other than {name}",
             "report its values without a test",
         )
-    scores = pair_scores(values, sizes, within)
+    scores = pair_scores(values, sizes, factor_indices)
     signs = sign_test(scores, groups, between=between, rng=rng)
     notes = []
     if cells.dropped:
@@ -201,7 +201,7 @@ def stratum_test(
         signs.p,
         partial_eta_squared(float(exact.F), *exact.degrees),
         _symmetry(scores, groups),
-        _f_tests(exact, effect_scores(values, sizes, within), groups, question),
+        _f_tests(exact, effect_scores(values, sizes, factor_indices), groups, question),
         " ".join(notes),
     )
     return test, signs
@@ -254,9 +254,9 @@ def manova(
     """Compare groups or methods on several metrics at once, by sign flips and by MANOVA.
 
     The analysis has one row per user. For groups, the row is the user's mean over all trials. For
-    methods, the row contains the user's differences between methods. Rows of different users are
-    independent. A sign flip changes the signs of a whole row. The statistic is the largest t over
-    all metrics and pairs.
+    methods, the row contains the differences between methods for this user. Rows of different users
+    are independent. A sign flip changes the signs of a whole row. The statistic is the largest t
+    over all metrics and pairs.
 
     Parameters
     ----------
@@ -321,12 +321,13 @@ def _pairs(signs: SignTest, others: Sequence[HypothesisTest]) -> list[Hypothesis
 def tukey_tests(
     values: Array, groups: Ints, names: Sequence[str], *, between: bool, metric: str
 ) -> list[HypothesisTest]:
-    """Compare every pair of groups, or of levels within users, by Tukey's test.
+    """Compare every pair of groups, or every pair of levels within users, by Tukey's test.
 
     Parameters
     ----------
     values, groups, between
-        As in :func:`tissue.evaluation.statistics.strata.tukey`, without an axis for populations.
+        As in :func:`tissue.evaluation.statistics.strata.tukey`, for a single population (no leading
+        axis).
     names
         Names of the groups, or of the levels.
     metric
@@ -357,5 +358,5 @@ def tukey_tests(
 
 
 def corrected(p_values: Sequence[float]) -> list[float]:
-    """Return Bonferroni-corrected p values: multiplied by their number, at most 1."""
+    """Return Bonferroni-corrected p values: each p times the number of p values, at most 1."""
     return [min(1.0, len(p_values) * p) for p in p_values]

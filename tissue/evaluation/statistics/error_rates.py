@@ -42,11 +42,11 @@ class Power:
     users_per_group, populations
         Number of users in a group, and number of simulated populations.
     false_alarms
-        Fraction of populations without an effect in which the test rejects (type I error rate),
-        with its interval.
+        Fraction of populations without an effect in which the test rejects the null hypothesis
+        (type I error rate), with its interval.
     hits
-        Fraction of populations with an effect in which the test rejects (power), with its interval.
-        1 - hits is the type II error rate.
+        Fraction of populations with an effect in which the test rejects the null hypothesis
+        (power), with its interval. 1 - hits is the type II error rate.
     """
 
     question: str
@@ -81,9 +81,9 @@ def redrawn_power(
     of 5 %. For sign flips, the mean estimate is 5.1 to 5.4 %, depending on the question (3.7 to 6.4
     % in single studies). Without the noise, the mean estimate is 5.6 to 7.8 % (up to 10.8 % in
     single studies). For the F test, the mean estimate is too high, because the covariance of ten
-    users is never exactly spherical. It is 5.5 % for groups, 5.9 % for methods and 7.1 % for their
-    interaction (up to 8.4 % in single studies). ``python tests/bench/bench_null.py --only redrawn``
-    measures these rates.
+    users is never exactly spherical. The mean estimate is 5.5 % for groups, 5.9 % for methods and
+    7.1 % for their interaction (up to 8.4 % in single studies). ``python tests/bench/bench_null.py
+    --only redrawn`` measures these rates.
 
     The returned power is the power for an effect of the measured size. The power is too high if the
     true effect is zero or small, because the measured size contains a random error.
@@ -91,8 +91,8 @@ def redrawn_power(
     Parameters
     ----------
     cells
-        Cell means of each metric, with one factor within users. Several metrics are tested
-        together.
+        One `Cells` object for each metric, with exactly one factor within users. Several metrics
+        are tested together.
     rng
         Random generator for users and sign flips.
     populations
@@ -154,7 +154,7 @@ def rejection_rates(
     rng: np.random.Generator,
     questions: Sequence[str] = tuple(QUESTIONS),
 ) -> tuple[Power, ...]:
-    """Return the fractions of populations in which each test rejects.
+    """Return, for each test, the fraction of populations in which it rejects the null hypothesis.
 
     Parameters
     ----------

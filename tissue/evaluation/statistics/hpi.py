@@ -54,8 +54,8 @@ class Index:
         Mean index of each method, with its bootstrap interval. For each bootstrap sample of users,
         the weights are computed again.
     assumptions
-        Checks that all loadings on the first principal component have the same sign, that its
-        variance is clearly the largest, and that the weights are stable.
+        Results of three checks: all loadings on the first principal component have the same sign,
+        its variance is clearly the largest, and the weights are stable.
     """
 
     metrics: tuple[str, ...]
@@ -105,9 +105,9 @@ def composite_index(
 
     The sign of each metric is chosen so that higher is better. The metrics are standardised within
     each task, because tasks have different scales. The weights are the squared loadings of the
-    first principal component of the correlation matrix. The published weights, which are computed
-    from raw metrics, have mixed signs and depend on the units. The weights of this function are not
-    negative and do not depend on the units.
+    first principal component of the correlation matrix. The weights in the published study are
+    computed from raw metrics; they have mixed signs and depend on the units. The weights of this
+    function are not negative and do not depend on the units.
 
     Parameters
     ----------
@@ -119,14 +119,14 @@ def composite_index(
     rng
         Random generator that draws users for the intervals.
     count
-        Number of bootstrap samples. With 2000, the tail probability of 2.5 % has a standard error
-        of 0.35 %.
+        Number of bootstrap samples. With 2000 samples, the tail probability of 2.5 % at each end of
+        the interval has a standard error of 0.35 %.
 
     Raises
     ------
     InputError
-        If a metric is constant within a task, a group has fewer than two users, or the users are so
-        few that a metric is constant in a bootstrap sample.
+        If a metric is constant within a task or in a bootstrap sample, or if a group has fewer than
+        two users.
     """
     names = tuple(directions)
     kept = table.failure == ""
@@ -213,7 +213,7 @@ def _checks(loadings: Array, variances: Array, spread: Array) -> tuple[Assumptio
         Assumption(
             "metrics agree",
             agree,
-            "better by one metric goes with worse by another, so the weights mix both"
+            "methods that are better by one metric are worse by another, so the weights mix both"
             if not agree
             else "all loadings have one sign",
         ),

@@ -39,8 +39,8 @@ class Assumption:
     name
         Name of the assumption, such as "normal residuals".
     holds
-        True if the check did not reject the assumption at the level :data:`ALPHA`. For a small
-        sample, this is weak evidence.
+        True if the check did not reject the assumption at the level :data:`ALPHA`. In a small
+        sample, a check that does not reject is weak evidence.
     finding
         Name and numerical results of the check, as text.
     """
@@ -143,7 +143,7 @@ def require_statsmodels() -> None:
 
 
 def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Effect:
-    """Return Cohen's d: the difference of two means in standard deviations (Cohen 1988).
+    """Return Cohen's d: the difference of two means divided by a standard deviation (Cohen 1988).
 
     The interval from the noncentral t distribution (Steiger and Fouladi 1997) is exact for normal
     samples of equal variance.
@@ -154,8 +154,9 @@ def cohens_d(first: ArrayLike, second: ArrayLike, *, paired: bool = False) -> Ef
         Samples of two or more finite values, one per user. In paired samples, entry i of both
         samples belongs to the same user.
     paired
-        Divide by the standard deviation of the differences ("d of differences"), not by the pooled
-        standard deviation of the samples. The name of the returned effect shows the kind of d.
+        If true, divide by the standard deviation of the differences ("d of differences"), not by
+        the pooled standard deviation of the samples. The name of the returned effect shows the kind
+        of d.
 
     Raises
     ------
@@ -191,8 +192,8 @@ def partial_eta_squared(statistic: float, above: float, below: float) -> Effect:
     variation and the variation of the error.
 
     Each end of the interval is L / (L + above + below + 1), where L is the noncentrality parameter
-    of F at this end (Steiger 2004). The interval is for the population, where this ratio is smaller
-    on average than in a sample. The value can therefore lie above its interval.
+    of F at this end (Steiger 2004). The interval is for the population value, which is smaller on
+    average than the sample value. The value can therefore lie above its interval.
 
     Parameters
     ----------
@@ -230,12 +231,12 @@ def normal_residuals(residuals: ArrayLike) -> Assumption:
     The assumption is rejected if one of the tests rejects it at :data:`ALPHA` divided by the number
     of tests.
 
-    The first test is Shapiro and Wilk's test (1965), with p by Royston (1995). It is used for up to
-    5,000 values. The second test is Anderson and Darling's test (1952) with estimated mean and
-    variance (Stephens 1986). It needs at least 8 values. In a large sample, even a slight departure
-    from normality is rejected. Skewness and excess kurtosis are therefore reported too. An absolute
-    skewness below about 1 and an absolute excess kurtosis below about 2 hardly matter for a
-    comparison of means (West et al. 1995 warn from 2 and 7 on).
+    The first test is Shapiro and Wilk's (1965); its p value follows Royston (1995). It is used for
+    up to 5,000 values. The second test is Anderson and Darling's test (1952) with estimated mean
+    and variance (Stephens 1986). It needs at least 8 values. In a large sample, the tests reject
+    even a slight departure from normality. Skewness and excess kurtosis are therefore reported too.
+    An absolute skewness below about 1 and an absolute excess kurtosis below about 2 hardly matter
+    for a comparison of means (West et al. 1995 give the limits 2 and 7).
 
     Raises
     ------

@@ -19,8 +19,8 @@ class Interval(NamedTuple):
 def mean_interval(values: Array) -> Interval:
     """Return the mean of values, shape (n,), with a symmetric interval by Student's t.
 
-    The values are independent, such as one per person. Use this interval for values of both signs,
-    such as differences. For a single value, the interval has zero width.
+    The values are independent, such as one per person. Use this interval for values that may be
+    positive or negative, such as differences. For a single value, the interval has zero width.
     """
     mean = float(values.mean())
     half = _half_width(values)
@@ -28,12 +28,12 @@ def mean_interval(values: Array) -> Interval:
 
 
 def signed_interval(values: Array) -> Interval:
-    """Return the mean of values, shape (n,), with an interval that keeps their sign.
+    """Return the mean of values, shape (n,), with an interval of the same sign as the values.
 
-    Errors and times are positive, but the symmetric interval of a few skewed values can end below
-    zero. The t interval is therefore computed for the logarithm of the mean. The standard error of
-    this logarithm is the standard error of the mean divided by the mean (delta method). If the
-    values do not all have the same sign, the symmetric interval is returned.
+    Errors and times are positive, but a symmetric interval from a few skewed values can extend
+    below zero. The t interval is therefore computed for the logarithm of the mean. The standard
+    error of this logarithm is the standard error of the mean divided by the mean (delta method). If
+    the values do not all have the same sign, the symmetric interval is returned.
     """
     mean = float(values.mean())
     if not ((values > 0.0).all() or (values < 0.0).all()):

@@ -63,8 +63,9 @@ def excess_error(error: float, least_error: float) -> float:
     """Compute the excess of an error over the smallest possible error.
 
     The excess is sqrt(error^2 - least_error^2), or 0 if `error` is smaller than `least_error`.
-    `least_error` is the error of a perfect force on the same device. Because the squares of
-    independent errors add up, the excess is the part of the error that a better force could avoid.
+    `least_error` is the error that remains on the same device even with a perfectly computed force.
+    Because the squares of independent errors add up, the excess is the part of the error that a
+    better force could avoid.
     """
     return float(np.sqrt(max(error**2 - least_error**2, 0.0)))
 
@@ -94,8 +95,8 @@ def latency_ms(
 
     The lag is the time shift with the highest correlation of both forces. The correlation is
     computed over the overlap of the shifted signals. The maximum is refined by a parabola through
-    three shifts. The lag is negative if the applied force leads the ideal force, for example
-    because of prediction.
+    the correlations at three shifts. The lag is negative if the applied force leads the ideal
+    force, for example because of prediction.
 
     Parameters
     ----------
@@ -139,7 +140,7 @@ def latency_ms(
 
 
 def acceleration_change_m_s2(velocity_mm_s: ArrayLike, *, tick_s: float) -> float:
-    """Return the mean norm of the change of acceleration from tick to tick [m/s^2].
+    """Return the mean norm [m/s^2] of the tick-to-tick change in acceleration.
 
     A lower value means a smoother motion. The measure is the "smoothness index" of the published
     study, computed by the printed formula: mean |dv[i+1]/dt - dv[i]/dt|. The value is the mean jerk
@@ -165,7 +166,7 @@ def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
 
     The measure is SPARC (Balasubramanian et al. 2012, 2015). The result is minus the arc length of
     the normalised magnitude spectrum of the speed. The spectrum is used up to
-    :data:`SPARC_CUTOFF_HZ`, from the first to the last frequency at which it is at least
+    :data:`SPARC_CUTOFF_HZ`, between the first and the last frequency with a value of at least
     :data:`SPARC_AMPLITUDE`. The result has no unit. It does not depend on the size of the movement.
     It does not depend on the duration either, as long as the spectrum lies below the cutoff.
 
@@ -197,7 +198,7 @@ def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
 
 
 def completion_time_s(time_s: ArrayLike, done: ArrayLike) -> float:
-    """Return the time from the first tick until the task is done and stays done [s].
+    """Return the time [s] from the first tick to the tick from which the task remains done.
 
     The result is infinite if the task is not done at the end.
 
@@ -217,7 +218,7 @@ def completion_time_s(time_s: ArrayLike, done: ArrayLike) -> float:
 
 
 def overshoot_mm(depth_mm: ArrayLike, *, target_mm: float) -> float:
-    """Compute the overshoot of the tip beyond its target depth [mm], at least 0.
+    """Compute the overshoot [mm] of the tip beyond its target depth; 0 without overshoot.
 
     `depth_mm` has shape (ticks,).
     """
@@ -225,7 +226,7 @@ def overshoot_mm(depth_mm: ArrayLike, *, target_mm: float) -> float:
 
 
 def excess_travel_mm(depth_mm: ArrayLike, *, puncture_tick: int) -> float:
-    """Compute the travel of the tip beyond its depth at a puncture [mm].
+    """Compute the largest travel [mm] of the tip beyond its depth at a puncture.
 
     `depth_mm` has shape (ticks,).
     """
@@ -271,12 +272,12 @@ def _pair(force_N: ArrayLike, ideal_N: ArrayLike) -> tuple[Array, Array]:
 
 
 def aligned_rows(path: Array, model: Array) -> Ints:
-    """Align a path with a model path; return the row of the model for each row of the path.
+    """Align a path with a model path; return the aligned model row for each row of the path.
 
     The alignment is computed by dynamic time warping (Sakoe and Chiba 1978), and the returned rows
     never decrease. The alignment is the monotonic alignment with the smallest sum of distances
     between aligned points. It starts at the first points of both paths. It may end before the last
-    point of the model path, so that an incomplete path has no deviation.
+    point of the model path, so that an unfinished path is not counted as a deviation.
 
     Parameters
     ----------
@@ -307,8 +308,9 @@ def aligned_rows(path: Array, model: Array) -> Ints:
 def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
     """Return the distance [mm] of each point of a path from the model path, shape (n,).
 
-    Only the part of the model path near the aligned row is searched. For points that are aligned
-    with the last aligned row, the rest of the model path after this row is searched too.
+    The nearest point is searched only in the part of the model path near the aligned row. For
+    points that are aligned with `rows[-1]`, the rest of the model path after this row is searched
+    too.
 
     Parameters
     ----------
@@ -334,9 +336,9 @@ def deviation_mm(path: Array, model: Array, rows: Ints) -> Array:
 def followed_ticks(model: Array, rows: Ints) -> Flags:
     """Return True for each point of a path with a corresponding place on the model path.
 
-    The alignment may end before the last row of the model path. If the model path then moves
-    farther than `TREMOR_MM`, points of the path after the first point aligned with this end have no
-    corresponding place. See :func:`deviation_mm` for the parameters.
+    The alignment may end before the last row of the model path. If the rest of the model path leads
+    farther than `TREMOR_MM` away, points after the first point aligned with the last used row have
+    no corresponding place. See :func:`deviation_mm` for the parameters.
     """
     end = rows[-1]
     goes_on = np.linalg.norm(model[end:] - model[end], axis=1).max() > TREMOR_MM

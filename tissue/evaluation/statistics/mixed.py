@@ -33,14 +33,14 @@ ITERATIONS = 400
 
 Fits of simulated studies with 45 people converge within 25 iterations.
 """
-LEAST = 1e-6
+SMALLEST_RESIDUAL_SHARE = 1e-6
 """Ratio of residual to total variance below which the likelihood counts as unbounded."""
 
 
 def mixed_model(table: TrialTable, metric: str) -> list[HypothesisTest]:
     """Fit a mixed model of a metric by restricted likelihood; return F tests of its fixed effects.
 
-    The model is metric = mean + group x method (x task) + user + user by method + trial + rest.
+    The model is metric = mean + group x method (x task) + user + user x method + trial + residual.
 
     The interaction of users with methods is a separate random term. Without this term, the test of
     the methods would treat the trials of one user as independent (Barr et al. 2013). If several
@@ -54,8 +54,8 @@ def mixed_model(table: TrialTable, metric: str) -> list[HypothesisTest]:
     Raises
     ------
     InputError
-        If there is only one group, task and method, a group has fewer than two complete users, or
-        the trials are too few to separate users from the residual.
+        If there is only one group, task and method, if a group has fewer than two complete users,
+        or if there are too few trials to separate users from the residual.
     """
     within = [name for name in ("task", "method") if len(np.unique(getattr(table, name))) > 1]
     cells = table.cells(metric, within=within or ["method"])
@@ -133,7 +133,7 @@ def _convergence(
         return Assumption(
             name, False, f"restricted likelihood not at its maximum in {ITERATIONS} steps: {warned}"
         )
-    if residual_share < LEAST:
+    if residual_share < SMALLEST_RESIDUAL_SHARE:
         return Assumption(
             name,
             False,
@@ -255,8 +255,8 @@ def regression(
     r is the intraclass correlation. For a given r, the normal-inverse-gamma prior is conjugate
     (Gelman et al. 2013, chapter 14). The slopes then have a t distribution, and the evidence has a
     closed form. r has a uniform prior and is integrated by quadrature. The posterior is therefore a
-    mixture of t distributions, exact apart from the quadrature error. Markov chains (NUTS) give the
-    same intervals for the same model.
+    mixture of t distributions, and is exact except for the quadrature error. Markov chains (NUTS)
+    give the same intervals for the same model.
 
     Parameters
     ----------

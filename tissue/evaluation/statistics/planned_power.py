@@ -57,15 +57,15 @@ def planned_power(
     """Return the power of each test of one metric on one task, for an effect of a given size.
 
     In the test of methods, one method differs by ``effect`` from all others, which are equal. In
-    the test of groups, one group differs. In the test of the interaction, one method differs in one
-    group. The unit of ``effect`` is explained at `EFFECT`. Values are normal with equal standard
-    deviations.
+    the test of groups, one group differs. In the test of the interaction, one method differs from
+    the others in only one group. The unit of ``effect`` is explained at `EFFECT`. Values are normal
+    with equal standard deviations.
 
     The power is the share of simulated studies whose largest t exceeds the critical value. The
-    critical value is the quantile 1 - alpha of the largest t in simulated studies without an
-    effect. A study itself uses sign-flip tests, but their simulation would need 20 / alpha flips
-    for each study. At alpha = 5 %, the power of sign-flip tests is 0.01 to 0.02 lower than the
-    returned power.
+    critical value is the (1 - alpha) quantile of the largest t over simulated studies without an
+    effect. A real study uses sign-flip tests, but simulating them would need 20 / alpha flips for
+    each study. At alpha = 5 %, the power of sign-flip tests is 0.01 to 0.02 lower than the returned
+    power.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def planned_people(
     rng: np.random.Generator,
     effect: float = EFFECT,
 ) -> dict[str, int]:
-    """Return the smallest number of people per group for a power of 0.8, by name of the test.
+    """Return the smallest number of people per group for a power of 0.8, keyed by test name.
 
     Parameters
     ----------
@@ -122,7 +122,8 @@ def planned_people(
     Returns
     -------
     dict[str, int]
-        A test that needs more than 200 people per group is left out.
+        Number of people by name of the test. Tests that need more than 200 people per group are
+        left out.
     """
     found = {}
     for test in effect_names(group=groups, method=methods):

@@ -55,13 +55,13 @@ class SignTest:
     differences, errors
         Mean difference of each pair, and its standard error, each of shape (pairs,).
     pair_p
-        p value of each pair: the fraction of flips whose largest t over all pairs is at least the t
-        of this pair, shape (pairs,). These p values are corrected for the comparison of all pairs
+        p value of each pair, shape (pairs,): the fraction of flips whose largest t over all pairs
+        is at least the t of this pair. These p values are corrected for the comparison of all pairs
         (Westfall and Young 1993).
     critical
-        Absolute t that the largest t after a random sign flip reaches with a probability of 5 %.
-        ``differences ± critical * errors`` are simultaneous 95 % intervals. Infinite if the users
-        are too few for such an interval.
+        95 % quantile of the largest absolute t after random sign flips. ``differences ± critical *
+        errors`` are simultaneous 95 % intervals. Infinite if the users are too few for such an
+        interval.
     """
 
     statistic: float
@@ -170,7 +170,7 @@ def _all_signs(users: int) -> Array:
 
 
 def flipped_p(measured: Array, flipped: Array) -> Array:
-    """Return the p value: the fraction of flips that reach the measured statistic (Edgington 1995).
+    """Return the p value: the share of flips with at least the measured statistic (Edgington 1995).
 
     Parameters
     ----------
@@ -199,11 +199,11 @@ def sign_test(
     The statistic is the largest absolute t over all pairs. Each t has its own standard error,
     computed from the variances within the groups (Welch 1938).
 
-    If there is no effect and the errors are symmetric, the differences of a user have both signs
-    with equal probability. The test within users then has exactly the nominal error rate, whatever
-    the variances and correlations of the methods. For the comparison of groups, the signs of scores
-    minus group means are flipped (wild bootstrap, Wu 1986; Liu 1988). The error rate of this test
-    is exact only in the limit of large groups.
+    If there is no effect and the errors are symmetric, a user's differences are as likely as the
+    same differences with opposite signs. The test within users then has exactly the nominal error
+    rate, whatever the variances and correlations of the methods. For the comparison of groups, the
+    deviations of the scores from their group means are flipped in sign (wild bootstrap, Wu 1986;
+    Liu 1988). The error rate of this test is exact only in the limit of large groups.
 
     Parameters
     ----------
@@ -218,8 +218,8 @@ def sign_test(
     rng
         Random generator of the signs.
     flips
-        Number of random sign flips. If the signs have at most `flips` combinations besides the
-        measured one, each combination is used once, and the p value is exact.
+        Number of random sign flips. If there are at most `flips` sign combinations besides the
+        original one, each is used once, and the p value is exact.
     """
     users = len(groups)
     every = _all_signs(users) if 2**users - 1 <= flips else None
@@ -272,7 +272,7 @@ def sign_test_p(
     scores
         Scores by :func:`pair_scores`, shape (data sets, users, scores).
     groups, between, rng, flips
-        As in :func:`sign_test`. The same signs are used for a block of data sets.
+        As in :func:`sign_test`. All data sets in a block use the same random signs.
 
     Returns
     -------

@@ -30,8 +30,8 @@ class Strata:
     degrees
         Degrees of freedom of numerator and denominator.
     epsilon, corrected_p
-        Measure of sphericity by Greenhouse and Geisser (1959), which is 1 for spherical contrasts,
-        and p value after multiplication of the degrees of freedom by this measure.
+        Measure of sphericity by Greenhouse and Geisser (1959), which is 1 for spherical contrasts.
+        The corrected p value uses degrees of freedom that are multiplied by this measure.
     """
 
     F: Array
@@ -68,7 +68,7 @@ def effect_scores(
     contrasts: Callable[[int], Array] = helmert,
     power: float = -0.5,
 ) -> Array:
-    """Compute the scores of every user: contrasts of the levels of an effect within users.
+    """Compute the scores of every user: contrasts between the levels of an effect.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def effect_scores(
         Function that returns the weights of contrasts, shape (contrasts, levels), for a number of
         levels. It is applied to the factors in the effect. Default: orthonormal contrasts.
     power
-        Exponent p: over factors outside the effect, the levels are summed with the weight n^p,
+        Exponent p: the levels of each factor outside the effect are summed with the weight n^p,
         where n is the number of levels. -1 gives the mean. The default gives a weight vector of
         unit length.
 
@@ -130,7 +130,7 @@ def strata(
     *,
     between: bool,
 ) -> Strata:
-    """Test one effect by an F test against the variation of its scores between users.
+    """Test one effect by an F test; the error is the variation of its scores between users.
 
     This variation is the error term (stratum) of the effect, and includes interactions of users
     with methods. The p value is exact for a balanced design with normally distributed random
@@ -145,12 +145,12 @@ def strata(
     sizes
         Number of levels of each factor within users.
     chosen
-        Indices of the factors within users that belong to the effect. At least one, unless
-        `between` is true.
+        Indices of the factors within users that belong to the effect. At least one index is needed,
+        unless `between` is true.
     between
         If true, test the effect of the group or, if `chosen` is not empty, the interaction of the
-        group with the chosen factors. If false, test the effect of the chosen factors, as the mean
-        over groups with equal weights, against zero.
+        group with the chosen factors. If false, test against zero the effect of the chosen factors,
+        averaged over groups with equal weights.
     """
     scores = effect_scores(values, sizes, chosen)
     effect, error, above, below = _squares(scores, groups, between=between)

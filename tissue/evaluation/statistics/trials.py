@@ -24,7 +24,7 @@ KEYS = (*KEY, "seed", "failure")
 
 @dataclass(frozen=True)
 class Cells:
-    """Means of one metric over the trials of each user, for each method or other level.
+    """Means of one metric over each user's trials, one mean per combination of factor levels.
 
     Hypothesis tests compare these means.
 
@@ -33,8 +33,8 @@ class Cells:
     metric
         Name of the metric, with its unit.
     values
-        Mean over the trials of a user at a level, shape (users, levels). A level is a combination
-        with one level of each factor in `factors`.
+        Mean over the trials of a user at a level, shape (users, levels). Here, a level is a
+        combination of factor levels, one from each factor in `factors`.
     counts
         Number of trials in each mean, shape (users, levels).
     groups
@@ -75,11 +75,11 @@ class TrialTable:
         Labels of each row, shape (rows,). Equal user labels in two groups denote two different
         users.
     trial, seed
-        Number of the trial within its task, group and user, and the seed that reproduces the trial,
-        shape (rows,).
+        Number of the trial (counted within its task, group and user), and the seed that reproduces
+        the trial, shape (rows,).
     failure
-        Reason of the failure of each row, shape (rows,). Empty for a row that did not fail. The
-        metrics of a failed row are NaN.
+        Reason why the trial of each row failed, shape (rows,). Empty for a row that did not fail.
+        The metrics of a failed row are NaN.
     metrics
         Values of each metric by name, each of shape (rows,). The name of a metric includes its
         unit.
@@ -132,8 +132,8 @@ class TrialTable:
     def write_csv(self, path: Path) -> None:
         """Write the table as CSV.
 
-        Equal tables give files with equal bytes. All digits of the values are written, so that
-        exactly the same values can be read back.
+        Writing the same table twice gives identical files. All digits of the values are written, so
+        that exactly the same values can be read back.
         """
         columns = [getattr(self, name).tolist() for name in KEYS]
         columns += [values.tolist() for values in self.metrics.values()]
@@ -159,7 +159,7 @@ class TrialTable:
         return self._rows(kept)
 
     def values(self, metric: str) -> Array:
-        """Return the values of a metric in all rows, NaN in failed rows."""
+        """Return the values of a metric in all rows; NaN in failed rows."""
         if metric not in self.metrics:
             raise InputError(
                 "metric", f"be one of {', '.join(self.metrics)}", metric, "choose one of those"

@@ -87,11 +87,12 @@ def _reaming(table: TrialTable, seed: int) -> Section:
         shares.append(f"{100.0 * share:.0f} % {where}")
     sentences = (
         f"RMS of the force's tracking error over {rows[0]['trials']} trials, in newtons at the "
-        f"reamer, of forces up to {table.values('peak_force_N').max() / scale:.1f} N; the "
-        f"paper prints less than {force} N. The force changes slowly, so that this depends little "
-        "on latency. Bone guides the reamer: its distance from the path depends little on hands.",
+        f"reamer, of forces up to {table.values('peak_force_N').max() / scale:.1f} N. The "
+        f"paper states less than {force} N. The force changes slowly, so the error depends little "
+        "on latency. Bone guides the reamer, so its distance from the path depends little on the "
+        "hand.",
         f"A step of {TORQUE_STEP_NM} N m on {level:.3f} N m (SD {scatter:.3f}) is discriminated in "
-        f"{', '.join(shares)} of the answers, 75 % being the threshold; the paper states that it "
+        f"{', '.join(shares)} of the answers (threshold: 75 %). The paper states that this step "
         "is felt.",
     )
     return Section("case-reaming", "Case: reaming of a glenoid", sentences, rows)
@@ -118,8 +119,8 @@ def _drilling(table: TrialTable) -> Section:
                     }
                 )
     sentences = (
-        f"At 400,000 rpm the mean lag is {', '.join(lags)}. Spin adds none, as the force is the "
-        "mean over a revolution.",
+        f"At 400,000 rpm the mean lag is {', '.join(lags)}. The spin adds no lag, because the "
+        "force is the mean over a revolution.",
         _difference("drilling"),
     )
     return Section("case-drilling", "Case: drilling of caries", sentences, rows)
@@ -139,7 +140,7 @@ def travel_by_people(needle: TrialTable, method: str) -> Array:
 
 
 def median_interval(values: Array) -> tuple[float, float, float]:
-    """Return the median, and the ends of its 95 % interval by ranks.
+    """Return the median, and the ends of its rank-based 95 % interval.
 
     Values may be infinite. The interval extends from the k-th smallest to the k-th largest of the n
     values. Let X be a binomial variable with n draws of probability 0.5. k is the largest number
@@ -155,7 +156,7 @@ def median_interval(values: Array) -> tuple[float, float, float]:
 
 
 def needle_section(table: TrialTable) -> Section:
-    """Report the needle's travel after the puncture, and noticed punctures."""
+    """Report the needle's travel after the puncture, and the number of noticed punctures."""
     rows = []
     groups = (each for each in GROUPS if each in table.group)
     for method, group in product(methods_of(table), groups):
@@ -186,10 +187,11 @@ def needle_section(table: TrialTable) -> Section:
         )
     sentences = [
         finding,
-        "A puncture that nobody notices counts as the longest travel, so that the median is of "
-        "all; the mean is of those who noticed. The hand pushes with a rising force and stops a "
-        "reaction after it has felt the force fall. What the springs of grip and coupling give "
-        "back at the puncture is part of this travel, whatever the reaction.",
+        "A puncture that the person does not notice counts as the longest travel. The median is "
+        "therefore over all people, and the mean is over the people who noticed. The hand pushes "
+        "with a rising force, and stops one reaction time after it has felt the force fall. At the "
+        "puncture, the springs of grip and coupling release energy. The motion that they cause is "
+        "part of this travel.",
         _difference("needle"),
     ]
     return Section("case-needle", "Case: needle", sentences, rows, picture, headline)
@@ -197,7 +199,7 @@ def needle_section(table: TrialTable) -> Section:
 
 def _difference(task: str) -> str:
     """Return the reason why the results of a task are not compared with the published study."""
-    return f"No figure here is compared with the paper's: {TASKS[task].differs}."
+    return f"No figure here is compared with the paper's: {TASKS[task].known_difference}."
 
 
 def _travel_text(travel_mm: float) -> str:
@@ -225,8 +227,8 @@ def _travels(shared: TrialTable) -> tuple[str, str, bytes]:
         shares.append(noticed)
         bounds = f" [{_travel_text(low)}, {_travel_text(high)}]" if low > -inf else ""
         found.append(
-            f"{method} lets {noticed:.0f} % notice, travel {_travel_text(middle)}{bounds} in the "
-            "median over people"
+            f"the puncture is noticed in {noticed:.0f} % with {method} (median travel over people: "
+            f"{_travel_text(middle)}{bounds})"
         )
         # too few people for an interval: only the point
         colour, marker = styles[method]

@@ -63,8 +63,8 @@ class Felt:
     means_N
         Mean force over the trials of each person [N], shape (people,).
     squares_N2
-        Sum of squared differences between the force in a person's trials and the mean force of this
-        person [N2], shape (people,).
+        Sum of squared deviations [N2] of each person's trial forces from the person's mean force,
+        shape (people,).
     free
         Degrees of freedom: number of trials of each person minus one, shape (people,).
     """
@@ -93,7 +93,7 @@ class Felt:
 
     @property
     def stimulus(self) -> Stimulus:
-        """Stimulus with the mean force over all people, and a person's scatter between trials."""
+        """Stimulus with the mean force over all people, and the pooled scatter within people."""
         return Stimulus(
             self.means_N.mean(),
             np.sqrt(self.squares_N2.sum() / max(self.free.sum(), 1.0)),
@@ -102,9 +102,10 @@ class Felt:
 
 @dataclass(frozen=True)
 class FeltPair:
-    """Two forces at the skin that each person compares.
+    """Two forces that each person feels at the skin and compares.
 
-    Differences between the mean forces of different people do not count as scatter.
+    The scatter of a force is within each person; differences between people's mean forces do not
+    count.
 
     Attributes
     ----------
@@ -123,7 +124,7 @@ class FeltPair:
     def felt_by(self, people: SimulatedObservers) -> tuple[Array, Array]:
         """Return each observer's sensitivity d' and probability of a right answer, shape (n,).
 
-        If the force at the skin is smaller on the stiffer specimen, people who judge by force
+        If the stiffer specimen gives the smaller force at the skin, people who judge by force
         answer wrongly, and d' is negative.
         """
         first = self.less.stimulus
@@ -134,12 +135,12 @@ class FeltPair:
 
 
 def changes_of(observers: SimulatedObservers, plain: FeltPair, other: FeltPair) -> Array:
-    """Return changes of d' and right answers from plain scaling to another method, shape (3, 3).
+    """Return changes of d' and right answers relative to plain scaling, shape (3, 3).
 
     The rows are the change of d', the change of d' in percent, and the change of right answers in
-    percentage points, each for the mean over the observers. The columns are the change, and the
-    lower and upper end of its 95 % interval. For the interval, each person in the trials is left
-    out in turn (jackknife, Efron 1982).
+    percentage points. All are computed from means over the observers. The columns are the change,
+    and the lower and upper end of its 95 % interval. The interval is computed by leaving out each
+    person once (jackknife, Efron 1982).
     """
     from scipy.stats import t
 
@@ -181,7 +182,7 @@ def specimens(part: TrialTable) -> FeltPair | None:
 
 
 def sides(needle: TrialTable) -> FeltPair | None:
-    """Return the forces at the skin after and before a needle punctures the organ's capsule.
+    """Return the two forces at the skin: after and before a needle punctures the organ's capsule.
 
     The result is None if no person has two trials.
     """
@@ -210,8 +211,8 @@ def _pair(
 def discrimination_section(folder: StudyFolder, table: TrialTable | None, seed: int) -> Section:
     """Report how well people discriminate each pair of forces, by group and method.
 
-    The section contains d', right answers, and their changes relative to plain scaling. `table` has
-    the trials of the tasks that are not case studies; None if there are no such trials.
+    The section contains d', right answers, and their changes relative to plain scaling. `table`
+    holds the trials of all tasks except case studies; it is None without such trials.
     """
     taken: list[tuple[str, Callable[[TrialTable], FeltPair | None], TrialTable | None]] = [
         ("capsule or parenchyma", sides, case_table(folder, "needle")),
@@ -265,7 +266,7 @@ def discrimination_section(folder: StudyFolder, table: TrialTable | None, seed: 
 
 
 def people_of(group: str, seed: int) -> SimulatedObservers:
-    """Draw the simulated people of an expertise group who compare forces."""
+    """Return random simulated people of an expertise group, who compare forces."""
     return draw_observers(group, PEOPLE, np.random.default_rng([seed, GROUPS.index(group)]))
 
 
@@ -285,10 +286,11 @@ def _sentences(changes: Mapping[tuple[str, str, str], Array]) -> tuple[list[str]
     """
     headline = ""
     sentences = [
-        f"Right answers of {PEOPLE} simulated people of each group in two intervals, 50 % being "
-        "chance. Forces are those that reach the hand in the runs of each method: after latency, "
-        "low-pass, range, amplifier and friction of the device. Their scatter is that over a "
-        "person's trials, and the person's own noise comes after it."
+        f"Right answers of {PEOPLE} simulated people of each group in two-interval trials (chance: "
+        "50 %). The forces are those that reach the hand in the runs of each method, after "
+        "latency, "
+        "low-pass filter, range, amplifier and friction of the device. They scatter as over a "
+        "person's trials, and the person's own noise is added."
     ]
     for method in dict.fromkeys(method for _, _, method in changes):
         part = np.array([each for (*_, name), each in changes.items() if name == method])
@@ -302,9 +304,11 @@ def _sentences(changes: Mapping[tuple[str, str, str], Array]) -> tuple[list[str]
             headline = f"{method} changes the sensitivity d′ at the skin {move} against {PLAIN}."
         sentences.append(
             f"{method} changes d′ {move} against {PLAIN} and right answers by "
-            f"{right[0].min():+.1f} to {right[0].max():+.1f} points; by its interval d′ is greater "
-            f"in {(d[1] > 0.0).sum()} and smaller in {(d[2] < 0.0).sum()} of {len(part)} pairs and "
-            "groups."
+            f"{right[0].min():+.1f} to {right[0].max():+.1f} percentage points. Of {len(part)} "
+            "pairs "
+            f"and groups, the interval of the change shows a larger d′ in {(d[1] > 0.0).sum()} "
+            "and a "
+            f"smaller d′ in {(d[2] < 0.0).sum()}."
         )
     weak = dict.fromkeys(key[0] for key, each in changes.items() if not np.isfinite(each[1, 0]))
     if weak:

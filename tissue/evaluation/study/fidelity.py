@@ -64,24 +64,27 @@ def force_section(table: TrialTable) -> Section:
             | {name: spread(percent[each], 1) for each, name in ratios.items()}
             | {"trials": str(len(part))}
         )
-    left = _left_over(table)
+    left = _error_ratios(table)
     means = ", ".join(
         f"{row['task']} {row['method']} {row['force error / %'].split()[0]}" for row in rows
     )
     sentences = (
         f"Mean force error at the motor in %: {means}.",
         "Error of the played force, ||F - F_ideal|| / ||F_ideal|| over all ticks at the motor. "
-        "F_ideal is the prompt force at the device's true position at that time. The least error "
-        "is that of a perfect force through the same encoder steps, low-pass and amplifier; the "
-        "excess is sqrt(error² - least²). Where a tool cuts its own course, the least error is no "
-        "bound, and an excess of 0 is no measure of methods. The force is taken before it is "
-        "scaled for a person, in newtons.",
-        "Ratios of intensity show the effect of scaling: the spread, over windows of 0.1 s, of the "
-        "logarithm of this person's intensity of the force at the skin over the reference's "
-        "intensity of the ideal force. The other columns hold this ratio of a perfect force "
-        "through the encoder, of the ideal force by this person's exponent, and of a force that "
-        "never changes. That a calibration brings a person to the reference's exponent is a "
-        "recovery of the parameters by which these people were made, no finding on people.",
+        "F_ideal is the force without delay at the device's true position at that time. The least "
+        "error is the error of a perfect force with the same encoder steps, low-pass filter and "
+        "amplifier. The excess is sqrt(error² - least²). If a tool cuts its own path, the least "
+        "error is not a bound, and an excess of 0 does not compare methods. The force is in "
+        "newtons, "
+        "before it is scaled for a person.",
+        "The error of ratios shows the effect of scaling. The ratio is the intensity that this "
+        "person feels from the force at the skin, divided by the intensity that the reference "
+        "observer feels from the ideal force. The error is the spread of its logarithm over "
+        "windows "
+        "of 0.1 s. The other columns hold this error for a perfect force with encoder steps, for "
+        "the ideal force felt with this person's exponent, and for a force that never changes. A "
+        "calibration that finds the reference's exponent only recovers a parameter of these "
+        "simulated people. It is not a finding on real people.",
         *left,
     )
     metrics = {"force_error": ("force error / %, 95 % interval\n(◆ paper: mean, SD)", 100.0)}
@@ -98,7 +101,7 @@ def force_section(table: TrialTable) -> Section:
     )
 
 
-def _left_over(table: TrialTable) -> list[str]:
+def _error_ratios(table: TrialTable) -> list[str]:
     """Return sentences on how much prediction and personal scaling reduce the errors.
 
     The sentences state two ratios: force error with prediction over force error without, and error
@@ -110,13 +113,13 @@ def _left_over(table: TrialTable) -> list[str]:
             "force_error",
             "penalty",
             "koopman",
-            "Force error with prediction over that of the penalty law",
+            "Force error with prediction, divided by the force error of the penalty law",
         ),
         (
             "ratio_error",
             "koopman",
             "koopman-perception",
-            "Error of ratios with scaling for the person over that without it",
+            "Error of ratios with scaling for the person, divided by the error without scaling",
         ),
     ):
         if {first, second} <= set(methods_of(table)) and metric in table.metrics:
@@ -173,7 +176,7 @@ def _published_errors(
 
 
 def latency_section(table: TrialTable) -> Section:
-    """Report the lag of the applied force behind a perfectly predicted force.
+    """Report by how much the applied force lags behind a perfectly predicted force.
 
     Failed trials are left out.
     """
@@ -188,11 +191,11 @@ def latency_section(table: TrialTable) -> Section:
     shifts = ", ".join(f"{value:.1f} ms ({name})" for name, value in means.items())
     early = ", ".join(" ".join(key) for key, lag in lags.items() if lag.mean() < 0.0)
     sentences = (
-        "Shift at which the force at the motor correlates best with that of a perfect prediction "
-        f"through the same encoder steps, over all tasks: {shifts}. A value below zero is a force "
-        "that comes early" + (f" ({early})." if early else "; none does."),
-        "The paper's latency is the delay of the whole loop. Here that delay is set, to "
-        f"{LATENCY_MS} ms and the path to the motor, so it is no result to compare.",
+        "Time shift at which the force at the motor correlates best with the force of a perfect "
+        f"prediction with the same encoder steps, over all tasks: {shifts}. A negative value is a "
+        "force that comes early" + (f" ({early})." if early else "; none does."),
+        "The paper's latency is the delay of the whole loop. Here this delay is an input, "
+        f"{LATENCY_MS} ms plus the delay up to the motor, so it is not compared.",
     )
     headline = f"The mean lag at the motor is {shifts}."
     return Section("latency", "Latency", sentences, rows, headline=headline)

@@ -64,16 +64,16 @@ class StudyFolder:
     def begin(self, plan: Plan) -> list[str]:
         """Create the folder, or prepare to continue the study in it; return warnings.
 
-        If the folder contains a study, the plan must contain all trials of the study's plan. The
-        plan is registered: ``plan.toml`` is written first, and then ``study.json`` with the hash of
-        the plan. A plan with more trials than the earlier plan is registered in addition to the
-        earlier plan.
+        If the folder contains a study, the new plan must contain all trials of the plan in the
+        folder. The plan is registered by writing ``plan.toml`` and then ``study.json`` with the
+        hash of the plan. If the plan has more trials than the earlier one, it is registered as a
+        further plan, and the earlier one is kept.
 
         Raises
         ------
         InputError
-            If the folder holds another study, a study of another version, an edited plan, or other
-            files.
+            If the folder holds another study, a study of another version of tissue, an edited plan,
+            or unrelated files.
         """
         there = self._require_same(plan)
         registers = not there or plan != self.plan()
@@ -95,7 +95,7 @@ class StudyFolder:
 
     @contextmanager
     def held(self, plan: Plan) -> Iterator[list[str]]:
-        """Lock the folder against other processes inside a ``with`` block.
+        """Lock the folder against other processes for the duration of a ``with`` block.
 
         The value of the ``with`` statement is the list of warnings from `begin`. Raises the same
         errors as `begin`.
@@ -153,14 +153,15 @@ class StudyFolder:
         Raises
         ------
         InputError
-            If the folder contains no plan, or the plan of another version of tissue.
+            If the folder contains no plan, or if the plan is from another version of tissue.
         """
         return self._begun()[0]
 
     def registrations(self) -> list[Registration]:
         """Return the registered plans, the newest last.
 
-        Raises InputError if the folder contains no plan, or the plan of another version.
+        Raises InputError if the folder contains no plan, or if the plan is from another version of
+        tissue.
         """
         return self._begun()[1]
 
@@ -302,8 +303,8 @@ def run_study(
     """Run the missing trials of a plan, and write the tables of all trials.
 
     The tables are sorted, so they do not depend on the number of workers or on interruptions. If a
-    worker process is lost, it is replaced and its trials are run again. A trial that repeatedly
-    ends its worker is recorded as failed.
+    worker process is lost, it is replaced and its trials are run again. A trial that crashes its
+    worker repeatedly is recorded as failed.
 
     Parameters
     ----------
@@ -313,8 +314,8 @@ def run_study(
         Folder of the study. If the folder contains a part of the study, only the missing trials are
         run.
     workers
-        Number of worker processes. Default: one per core. With a scheduler, the number only limits
-        how many trials are submitted at once.
+        Number of worker processes. Default: one per core. If a scheduler is given, this number
+        merely limits how many trials are submitted at the same time.
     scheduler
         Address of a Dask scheduler that runs the trials, ``tcp://HOST:PORT`` or
         ``tls://HOST:PORT``. Default: processes on this machine.

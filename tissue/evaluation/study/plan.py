@@ -31,7 +31,7 @@ LATENCY_MS = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """Task of a study, on a built-in scene.
+    """Task of a study in a built-in scene.
 
     Attributes
     ----------
@@ -40,21 +40,22 @@ class Task:
     scene
         Name of the scene.
     changes
-        Changes of the scene, by dotted key. The changes switch off computations without effect on
-        the force, and shorten the run.
+        New values of scene keys for the task, by dotted key. The changes shorten the run and switch
+        off computations that do not affect the force.
     specimens
-        Changes of the scene for each specimen, by dotted key. Each person gets all specimens in
-        turn. The discrimination of forces is evaluated for the first two specimens.
+        For each specimen, the new values of scene keys, by dotted key. Each person gets all
+        specimens, one after the other. The discrimination of forces is evaluated for the first two
+        specimens.
     case
         True for a case study, which is reported separately and is not part of the hypothesis tests.
     wanted_mm
         Corners of the target path of the tool [mm]. Default: the path of the motion.
     most
         Largest number of trials for each expertise group.
-    differs
-        Description of a known difference from the corresponding task in the published study. If it
-        is not empty, results are not compared with that study. The published study states no
-        geometry, tool or path.
+    known_difference
+        Description of a known difference from the corresponding task in the published study. If
+        this text is not empty, results are not compared with the published study. The comparison is
+        limited, because the published study states no geometry, tool or path.
     """
 
     title: str
@@ -64,7 +65,7 @@ class Task:
     case: bool = False
     wanted_mm: tuple[tuple[float, float, float], ...] = ()
     most: int = 10_000
-    differs: str = ""
+    known_difference: str = ""
 
 
 def _scaled(
@@ -123,8 +124,8 @@ TASKS = {
             "duration_s": None,
         },
         specimens=_scaled(BONE, (0.6, 1.0, 1.1)),
-        differs="the motion of the hand is scaled to a tenth at the burr, so that the hand feels "
-        "the bone",
+        known_difference="the motion of the hand is scaled to a tenth at the burr, so that the "
+        "hand feels the bone",
     ),
     "needle": Task(
         title="needle pushed through the capsule of a liver, to stop as it breaks",
@@ -138,8 +139,8 @@ TASKS = {
             "coupling.force_scale": 1.0,  # the force that the hand raises is the needle's
         },
         specimens=({},),
-        differs="the paper measures the distance from a target depth, here the needle is stopped "
-        "as the capsule breaks",
+        known_difference="the paper measures the distance from a target depth, here the needle is "
+        "stopped as the capsule breaks",
     ),
     "reaming": Task(
         title="reaming of a glenoid",
@@ -165,8 +166,8 @@ TASKS = {
         scene="caries",
         changes=TOOTH | {"motion.points_mm": [[0, 0, 0.3], [0, 0, -1.5]], "duration_s": None},
         specimens=({}, {"anatomy.caries_depth_mm": None, "anatomy.caries_diameter_mm": None}),
-        differs="the paper compares textures at more than 10,000 rpm, here mean forces are "
-        "compared at 400,000 rpm",
+        known_difference="the paper compares textures at more than 10,000 rpm, here mean forces "
+        "are compared at 400,000 rpm",
     ),
 }
 """Tasks by name.
@@ -195,13 +196,13 @@ PERSONAL = ("koopman-perception",)
 def method_settings(method: str) -> Mapping[str, object]:
     """Return the scene settings of a method, by dotted key.
 
-    `method` is a key of `METHODS`, or the name of a built-in or registered predictor. A predictor
-    is combined with the renderer ``proxy``.
+    `method` is a key of `METHODS`, or the name of a built-in or registered predictor. If `method`
+    is the name of a predictor, the renderer is ``proxy``.
 
     Raises
     ------
     InputError
-        If no method or predictor has the name.
+        If `method` is unknown.
     """
     if method in METHODS:
         return METHODS[method]
@@ -283,8 +284,8 @@ class Plan:
     tasks, groups
         Tasks and expertise groups of the study.
     methods
-        Compared methods: keys of `METHODS`, or names of predictors. All methods of a trial have the
-        same coupling stiffness, which must be stable with each of the methods.
+        Compared methods: keys of `METHODS`, or names of predictors. In a trial, all methods use the
+        same coupling stiffness; the coupling must be stable with each method.
 
     Raises
     ------
@@ -354,7 +355,7 @@ class Plan:
     def person(self, key: TrialKey) -> np.random.Generator:
         """Return the random generator from which the person of a trial is drawn.
 
-        For the same person, the generator is the same in every task.
+        The same person gets the same generator, with the same state, in every task.
         """
         # 1000 separates people from the streams of trials, which begin with the index of a task
         return seeded(self.seed, 1000, GROUPS.index(key.group), key.user)

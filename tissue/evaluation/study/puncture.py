@@ -76,7 +76,7 @@ def pierce(scene: Scene, *, kappa: float, offset_N: float, rate_N_s: float = RAT
         Scene with a needle on a device. The first two points of the scene's path define the start,
         the direction, and the largest depth of the push.
     kappa, offset_N
-        Weber fraction and low-force term [N] of the person's threshold, see `FeltDrop`.
+        Weber fraction and offset [N] of the person's threshold, see `FeltDrop`.
     rate_N_s
         Rate of increase of the pushing force [N/s].
 
@@ -106,12 +106,12 @@ def pierce(scene: Scene, *, kappa: float, offset_N: float, rate_N_s: float = RAT
     )
     x, y, z = start.tolist()
     device = SimulatedDevice(limits, hand, position_m=(x, y, z))
-    bystander = _Bystander(hand, float(np.linalg.norm(end - start)))
+    end_of_run = _EndOfRun(hand, float(np.linalg.norm(end - start)))
     pushed = changed(scene, {"duration_s": LONGEST_S})
-    return simulate(pushed, cores=1, device=device, observers=[bystander], allow_unstable=True)
+    return simulate(pushed, cores=1, device=device, observers=[end_of_run], allow_unstable=True)
 
 
-class _Bystander(RunObserver):
+class _EndOfRun(RunObserver):
     """Run observer that ends a run after the hand has stopped, or at a limit of the depth."""
 
     def __init__(self, hand: PushingHand, length_m: float) -> None:

@@ -96,7 +96,7 @@ HEAD = """\
 def register(
     folder: Path, plan: Plan, held: list[Registration], *, trials: int
 ) -> list[Registration]:
-    """Write the file of a plan; return all registrations with the new one, newest last.
+    """Write a plan to its file; return all registrations including the new one, newest last.
 
     The file of an earlier plan is kept under another name.
 
@@ -151,7 +151,7 @@ def registered(content: Mapping[str, Any]) -> list[Registration]:
 
 
 def packages_of(plan: Plan) -> dict[str, str]:
-    """Return name and code hash of the origin of each registered predictor, by method.
+    """Return the name and code hash of each registered predictor's origin, keyed by method.
 
     The origin is a package or, for a predictor that a script registers, its class or function.
     """
@@ -225,7 +225,7 @@ def content_sha256(content: Mapping[str, object]) -> str:
 
 
 def notes_before(plan: Plan) -> list[str]:
-    """Return the reasons for which the report on a planned study can show no effect."""
+    """Return the reasons, if any, why the report on a planned study cannot show an effect."""
     if not plan.compared:
         return []
     notes = []
@@ -260,12 +260,12 @@ def notes_before(plan: Plan) -> list[str]:
 
 
 def planned_tests(plan: Plan) -> list[str]:
-    """Return the hypothesis tests that a plan implies, each as a text of task and question.
+    """Return the hypothesis tests that a plan implies, each as a text with task and question.
 
     An example is ``T1 force_error: method``.
 
-    For each task, every effect on every compared metric is tested, then all metrics together.
-    Finally, every effect on each metric is tested over all tasks.
+    For each task, every effect is tested on each compared metric. Methods and groups are then
+    tested on all metrics together. Finally, every effect on each metric is tested over all tasks.
     """
     groups = len(plan.groups)
     methods = len(plan.methods)
@@ -287,7 +287,7 @@ def planned_tests(plan: Plan) -> list[str]:
 def plan_text(plan: Plan) -> str:
     """Return the text of a plan as TOML.
 
-    Equal plans have equal texts in the same version of tissue.
+    In the same version of tissue, equal plans give equal texts.
     """
     tests = planned_tests(plan)
     keys = list(plan.all_trials())

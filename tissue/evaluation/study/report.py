@@ -62,7 +62,7 @@ def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[s
     Raises
     ------
     InputError
-        If the folder is not the folder of a study, contains no trial of the plan's tasks, or
+        If the folder does not hold a study, if it contains no trial of the plan's tasks, or if
         another process is writing a report.
     """
     folder = StudyFolder(path)
@@ -80,7 +80,7 @@ def write_report(path: Path, *, report: Progress = silent) -> tuple[Path, list[s
 
 
 def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Section]:
-    """Return all report sections for which a study has trials."""
+    """Return all report sections for which the study has trials."""
     plan = folder.plan()
     folder.write_tables()
     sections: list[Section] = []
@@ -155,8 +155,8 @@ def _overview(folder: StudyFolder) -> Section:
             "task": task,
             "what": TASKS[task].title,
             "scene and changes": _describe(task),
-            "compared with the paper": f"no: {TASKS[task].differs}"
-            if TASKS[task].differs
+            "compared with the paper": f"no: {TASKS[task].known_difference}"
+            if TASKS[task].known_difference
             else "yes",
             "trials": ", ".join(f"{group} {counts[task, group]}" for group in plan.groups),
         }
@@ -164,7 +164,8 @@ def _overview(folder: StudyFolder) -> Section:
     ]
     empty = [group for group in plan.groups if not any(counts[task, group] for task in plan.tasks)]
     sentences = [
-        f"{len(kept)} of {sum(1 for _ in plan.all_trials())} trials are there, seed {plan.seed}, "
+        f"{len(kept)} of {sum(1 for _ in plan.all_trials())} trials are complete, seed "
+        f"{plan.seed}, "
         f"version {package_version()}; methods {', '.join(plan.methods)}. Every trial has a "
         f"latency of {LATENCY_MS} ms on the device touch.",
         "Simulated people differ in pace, exponent and threshold. Groups differ in hand and "
@@ -172,14 +173,14 @@ def _overview(folder: StudyFolder) -> Section:
         "No real person took part. The results do not measure physical fidelity: forces are "
         "compared with the ideal force of this program, as the paper compares its forces with its "
         "own ideal.",
-        f"Figures of the paper: {SOURCE}. Tasks are compared with it that meet all conditions that "
-        "it states; it states no geometry, tool or path.",
+        f"Figures of the paper: {SOURCE}. Only tasks that meet all conditions stated in the paper "
+        "are compared with it. The paper states no geometry, tool or path.",
     ]
     if after := [text for text, tasks in CHOSEN_AFTER if set(tasks) & set(plan.tasks)]:
         sentences.append(f"Chosen after results of earlier studies were known: {' '.join(after)}")
     if empty:
         sentences.append(
-            f"No trial yet of {', '.join(empty)}: the figures are of the other groups."
+            f"There is no trial of {', '.join(empty)} yet: the figures hold for the other groups."
         )
     for what, names in failures_of(kept).items():
         sentences.append(f"{len(names)} failed, {what} ({names[0]}{', ...' * (len(names) > 1)}).")
@@ -201,7 +202,7 @@ def _describe(task: str) -> str:
 
 
 def registration_section(folder: StudyFolder, tests: Sequence[Section]) -> Section:
-    """List the differences of the study from the registered plan.
+    """List how the study deviates from its registered plan.
 
     Parameters
     ----------

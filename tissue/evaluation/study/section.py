@@ -116,7 +116,7 @@ class Section:
     sentences
         Sentences with the findings, computed from the data.
     table
-        Rows of the table, each with its entries by name of the column. A row may omit columns.
+        Rows of the table; each row maps column names to entries. A row may omit columns.
     picture
         PNG picture. May be empty.
     headline
@@ -175,7 +175,7 @@ def _agreement(ours: Array, paper: Figure) -> str:
 
 
 def against(ours: Array, paper: Figure | None, unit: str) -> dict[str, str]:
-    """Return table entries with a published value and the agreement; empty if `paper` is None."""
+    """Return table entries: the published value and its agreement; empty if `paper` is None."""
     if paper is None:
         return {}
     return {f"paper {unit}": str(paper), "against paper": _agreement(ours, paper)}
@@ -183,7 +183,7 @@ def against(ours: Array, paper: Figure | None, unit: str) -> dict[str, str]:
 
 def published(task: str, figure: Figure | None) -> Figure | None:
     """Return a published value; None if the published task differs from the task of this study."""
-    return None if TASKS[task].differs else figure
+    return None if TASKS[task].known_difference else figure
 
 
 def tasks_of(table: TrialTable) -> list[str]:
@@ -204,7 +204,7 @@ def parts_of(table: TrialTable) -> dict[tuple[str, str], TrialTable]:
 
 
 def interval_by_users(table: TrialTable, metric: str) -> Interval:
-    """Return the mean of the users' means of a metric, with its 95 % interval."""
+    """Return the mean over users of each user's mean of a metric, with a 95 % interval."""
     _, person = np.unique(table.people(), return_inverse=True)
     means = np.bincount(person, table.values(metric)) / np.bincount(person)
     return signed_interval(means)
@@ -236,10 +236,10 @@ def grouped_points(
     groups
         Labels of the groups along the x axis.
     points
-        Value, and lower and upper end of the interval, keyed by the index of the group and the
-        method.
+        Value, and lower and upper end of its interval, keyed by the pair (index of the group,
+        method).
     papers
-        Published values, keyed by the index of the group and the method.
+        Published values, keyed by the pair (index of the group, method).
     """
     methods = list(dict.fromkeys(method for _, method in points))
     styles = looks(methods)

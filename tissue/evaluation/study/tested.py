@@ -35,7 +35,7 @@ Outcome = tuple[str, HypothesisTest]
 
 
 def statistics_sections(table: TrialTable, rng: np.random.Generator) -> list[Section]:
-    """Return the sections on statistics, or one section with the reason for no tests."""
+    """Return the sections on statistics, or one section that explains why there are no tests."""
     try:
         sections = tests_sections(table, rng)
     except InputError as error:
@@ -154,18 +154,21 @@ def _outcomes(outcomes: Sequence[Outcome], remarks: Sequence[str]) -> Section:
         for task, each in outcomes
         if any(other.found != each.found for other in each.alternatives)
     ]
-    agreement = "They all agree with it, each at 5 %"
+    agreement = "They all agree with the sign flips, each at 5 %"
     if differing:
-        agreement = f"At 5 % each, they do not all agree with it on {'; '.join(differing)}"
+        agreement = (
+            f"At 5 % each, they do not all agree with the sign flips on {'; '.join(differing)}"
+        )
     sentences = (
         f"{sum(row['shows'] == 'effect' for row in rows)} of {len(rows)} tests show an effect "
         "after Bonferroni's correction over all of them. The unit is the person, not the trial: a "
-        f"group has at most {USERS} people, who meet every method, so that many trials alone do "
-        "not make an effect.",
+        f"group has at most {USERS} people, and every person uses every method. Many trials alone "
+        "therefore do not make an effect.",
         "Sign flips decide: the largest t over all pairs of methods or groups, against the largest "
         "t after random changes of the sign of each person's differences or residuals. The last "
         "column has the tests of the paper (F, MANOVA, mixed model), which assume that methods and "
-        f"groups have equal spread. {agreement}. Power and error rates has their measured rates.",
+        f"groups have equal spread. {agreement}. The section Power and error "
+        "rates has the measured rates of these tests.",
         "Partial eta squared is the effect's share of the variation in this sample. On average it "
         "is larger than the share in the population. Its 95 % interval is for the share in the "
         "population (noncentral F, Steiger 2004). The value can therefore lie above its interval.",
@@ -271,7 +274,7 @@ def _assumptions(outcomes: Sequence[Outcome]) -> Section:
     ]
     failed = Counter(row["assumption"] for row in rows if row["holds"] == "no")
     failures = ", ".join(f"{name} {count}" for name, count in failed.items()) or "none"
-    sentence = f"Checks that refused an assumption: {failures}, of {len(rows)} in all."
+    sentence = f"Of {len(rows)} checks of assumptions, these failed: {failures}."
     return Section("diagnostics", "Diagnostics", (sentence,), rows)
 
 
@@ -297,8 +300,8 @@ def _composite(table: TrialTable, rng: np.random.Generator) -> Content:
     order = [each.name for each in sorted(index.means, key=lambda each: -each.value)]
     sentences.append(
         f"By this index the order is {', '.join(order)}. The paper's 0.91 and 0.72 lie on a scale "
-        "that its formula does not fix (metrics of mixed signs and units), so that only the order "
-        "can be compared: there the perceptual method is best."
+        "that its formula does not fix (metrics of mixed signs and units), so only the order "
+        "can be compared. In the paper, the perceptual method is best."
     )
     return sentences, rows
 
@@ -323,8 +326,9 @@ def _power(table: TrialTable, rng: np.random.Generator) -> Content:
     """Report error rates of the tests, estimated with resampled users, by task and question."""
     rows = []
     remarks = [
-        "The rates are of tests at 5 %, with people drawn again from this study, for the force "
-        "error alone and for all metrics together. The rates of F are estimated too high, because "
+        "The table has the error rates of tests at 5 %, with people drawn again from this study, "
+        "for the force error alone and for all metrics together. The rates of F are too high, "
+        "because "
         "the covariance of the people of one study is never spherical: where the true rate is 5 %, "
         "the estimate is 6 % for methods and 7 % for group x method on average "
         "(python tests/bench/bench_null.py --only redrawn). The mixed model has the rates of F, "

@@ -33,7 +33,7 @@ from tissue.perception.observer import PARAMETERS, Observer, write_observer
 from tissue.scene.load import changed, load_scene
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.builders.loop import judged_loop, loop_settings
 from tissue.simulation.simulate import simulate
 
@@ -67,10 +67,9 @@ class Trial:
     took_s
         Wall time of the trial [s].
     plan_sha256, code_sha256
-        Hashes of the registered plan and of the code with which the trial was run.
+        Hash of the registered plan, and hash of the code that ran the trial.
     whole
-        False if the file of the trial was edited, so that its content does not have the recorded
-        hash.
+        False if the trial's file was edited and its content does not match the recorded hash.
     """
 
     key: TrialKey
@@ -98,16 +97,16 @@ class TrialScene:
     Attributes
     ----------
     scenes
-        Scene for each method. All scenes have the same coupling stiffness, which is stable with all
-        methods. The forces of the methods can therefore be compared.
+        Scene for each method. All scenes have the same coupling stiffness, with which the coupling
+        is stable for all methods. The forces of the methods can therefore be compared.
     specimen
         Number of the specimen.
     person
         Person of the trial, with the true perceptual parameters. Methods use only the parameters
         that a calibration estimates.
     pace
-        Factor on the speed of the hand along its path, or on the rate at which a pushing force
-        increases.
+        Factor that multiplies the speed of the hand along its path, or the rate at which a pushing
+        force increases.
     """
 
     scenes: Mapping[str, Scene]
@@ -121,7 +120,7 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
 
     If a method fails, its row contains the reason, and the other methods are still run. A single
     call such as ``run_trial(Plan(seed=0), TrialKey.named("T1-novice-0007"))`` gives the same result
-    as the whole study.
+    for this trial as a run of the whole study.
     """
     started = perf_counter()
     rows: list[Row] = []
@@ -138,7 +137,7 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
 
 
 def failures_of(trials: Iterable[Trial]) -> dict[str, list[str]]:
-    """Return the names of failed trials, keyed by a text of method and failure.
+    """Return the names of failed trials, keyed by a text with the method and the failure.
 
     Reasons that differ only in the time of the failure count as equal.
     """
@@ -163,7 +162,7 @@ def error_sentence(error: Exception) -> str:
 
 
 def trial_scene(plan: Plan, key: TrialKey, observer: Path) -> TrialScene:
-    """Return scenes and person of a trial; write the calibration of the person to `observer`."""
+    """Return the scenes and person of a trial; write the person's calibration to `observer`."""
     rng = plan.rng(key)
     person = plan.person(key)
     task = TASKS[key.task]

@@ -11,7 +11,7 @@ from tissue.evaluation.statistics import metrics
 from tissue.evaluation.study.puncture import NOTICED
 from tissue.perception.observer import Observer, reference_observer
 from tissue.scene.tool import PathMotion
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.reference_force import ideal_force_N, motor_forces
 from tissue.simulation.run import Run
 from tissue.simulation.simulate import TICK_S
@@ -37,7 +37,7 @@ WINDOW_S = 0.1
 
 
 def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict[str, float]:
-    """Compute the metrics of a run, by name of the metric with its unit.
+    """Compute the metrics of a run, keyed by metric name (with unit).
 
     Parameters
     ----------
@@ -53,8 +53,8 @@ def measured(run: Run, task: str, person: Observer, *, wanted_mm: Array) -> dict
     Raises
     ------
     InputError
-        If the tool touched nothing or too briefly, or a needle did not puncture the capsule before
-        the hand stopped.
+        If the tool touched nothing or only briefly, or if a needle did not puncture the capsule
+        before the hand stopped.
     """
     trace = run.trace
     played, ideal, nearest, _ = motor_forces(run, ideal_force_N(run, cores=1))
@@ -142,21 +142,20 @@ def _reamed(run: Run, touching: Flags) -> dict[str, float]:
 def intensity_ratios(
     skin_N: Array, nearest_N: Array, ideal_N: Array, person: Observer
 ) -> dict[str, float]:
-    """Return the errors of perceived intensity ratios for the applied and three other forces.
+    """Return the errors of perceived intensity ratios for the applied force and three other forces.
 
-    The error is the standard deviation of ln S(F) - ln S_ref(F_ideal) over windows of 0.1 s that
-    lie entirely in contact. S is the intensity that the person perceives by Stevens' law, and S_ref
-    the intensity that the reference observer perceives. An error of 0.1 means that ratios of
-    perceived intensities are wrong by a tenth. A constant factor on the force has no effect on the
-    error.
+    The error is the standard deviation of ln S(F) - ln S_ref(F_ideal) over windows of 0.1 s with
+    contact throughout. S is the intensity that the person perceives by Stevens' law, and S_ref the
+    intensity that the reference observer perceives. An error of 0.1 means that ratios of perceived
+    intensities are wrong by a tenth. A constant factor on the force has no effect on the error.
 
     Returns
     -------
     dict
         Errors of four forces. ``ratio_error`` is the error of the force at the skin.
-        ``ratio_floor`` is the error of a perfect force through the same encoder steps, felt by the
-        reference observer. ``ratio_unscaled`` is the error of the ideal force, felt by the person.
-        ``ratio_silent`` is the error of a constant force.
+        ``ratio_floor`` is the error of a perfect force computed from positions with the same
+        encoder steps, and felt by the reference observer. ``ratio_unscaled`` is the error if the
+        person feels the ideal force. ``ratio_silent`` is the error of a constant force.
     """
     count = max(len(ideal_N) // round(WINDOW_S / TICK_S), 1)
     sizes = np.linalg.norm(ideal_N, axis=1)

@@ -49,7 +49,7 @@ def surface_compliance_m_N(
     solver: Callable[[], ColumnSolver] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Array:
-    """Return the compliance W of touchable nodes [m/N], from the cache or from a factor.
+    """Return the compliance W of touchable nodes [m/N], from the cache or from a factorisation.
 
     W has shape (3t, 3t) for t touchable nodes, and is bitwise symmetric. The order of rows and
     columns is x, y, z of the first node, x, y, z of the second node, and so on.
@@ -63,8 +63,8 @@ def surface_compliance_m_N(
     limit_bytes
         Largest memory of W [bytes].
     solver
-        Function that returns a solver for the body, called if W is not in the cache. Default: a new
-        factorisation.
+        Function that returns a solver for the body. It is called only if W is not in the cache.
+        Default: a new factorisation.
     progress
         Function that is called with the completed share, in (0, 1].
 
@@ -98,7 +98,7 @@ def surface_compliance_m_N(
 
 
 def columns_at(solver: ColumnSolver, unknowns: Ints, rows: Ints) -> Iterator[Array]:
-    """Yield columns of the inverse stiffness [m/N], in blocks of at most `CHUNK` columns.
+    """Yield columns of the inverse stiffness, restricted to given rows [m/N], block by block.
 
     Several threads compute the blocks. The linear algebra of each block uses one thread.
 
@@ -107,8 +107,8 @@ def columns_at(solver: ColumnSolver, unknowns: Ints, rows: Ints) -> Iterator[Arr
     solver
         Solver for the displacements under unit forces.
     unknowns, rows
-        Unknowns with a unit force, shape (k,), and unknowns whose displacements are returned, shape
-        (r,). A block has at most `CHUNK` columns, shape (r, c).
+        Unknowns that are loaded by a unit force, shape (k,), and unknowns whose displacements are
+        returned, shape (r,). A block has at most `CHUNK` columns, shape (r, c).
     """
     chunks = [unknowns[start : start + CHUNK] for start in range(0, len(unknowns), CHUNK)]
     # A back-substitution releases the interpreter lock.
@@ -137,12 +137,13 @@ def _found(
 def reduced_compliance_m_N(solver: ColumnSolver, touchable: Ints, size: int) -> Array:
     """Return the compliance of t touchable nodes in a reduced basis [m/N], shape (3t, 3t).
 
-    The basis is the proper orthogonal decomposition, in the energy norm, of the displacements for
-    all unit forces on the touchable nodes. The Gram matrix of these displacements is the compliance
-    matrix W itself. The reduced compliance is the part of W with the largest eigenvalues, which is
-    the best matrix of this rank (Eckart and Young 1936, Psychometrika 1:211). The omitted part of W
-    acts mostly at the loaded nodes. The diagonal blocks of this part are added, like the residual
-    flexibility for omitted modes (MacNeal 1971, Comput. Struct. 1:581).
+    The basis is computed by proper orthogonal decomposition (in the energy norm) of the
+    displacements due to unit forces on the touchable nodes. The Gram matrix of these displacements
+    is the compliance matrix W itself. The reduced compliance is the part of W that belongs to the
+    largest eigenvalues. It is the best approximation of W with this number of modes (Eckart and
+    Young 1936, Psychometrika 1:211). The omitted part of W affects mostly the loaded nodes
+    themselves. The diagonal blocks of the omitted part are added to the result, like the residual
+    flexibility of omitted modes (MacNeal 1971, Comput. Struct. 1:581).
 
     Parameters
     ----------

@@ -32,8 +32,9 @@ A factorisation takes the same time with 8 to 128 nodes. With 128 the factor has
 def dissected(nodes_m: Array, graph: csr_array) -> list[Ints]:
     """Return sets of nodes in order of elimination, by nested dissection.
 
-    A set of nodes is cut at the median of its longest extent. The nodes on one side with a
-    neighbour on the other side form the separator, which is eliminated after both sides.
+    A set of nodes is divided at the median coordinate along its longest extent. The nodes of one
+    side that have a neighbour on the other side form the separator. It is eliminated after both
+    sides.
 
     Parameters
     ----------
@@ -171,9 +172,9 @@ class DirectSolver:
         Nodes that are eliminated last. The compliance between these nodes can be read from the
         factor.
     like
-        Solver of the same body with another stiffness of an equal pattern. The new solver uses the
-        order of elimination and the precision of `like`, and ignores `last` and `single`. Default:
-        a new order is computed.
+        Solver of the same body with another stiffness that has the same sparsity pattern. The new
+        solver uses the order of elimination and the precision of `like`, and ignores `last` and
+        `single`. Default: a new order is computed.
     single
         True for a factor in single precision. The factorisation then takes two thirds of the time,
         but `solve` reports the solutions as inaccurate.
@@ -181,7 +182,7 @@ class DirectSolver:
     Raises
     ------
     NotPositiveDefiniteError
-        If the stiffness is not positive definite, apart from rounding.
+        If the stiffness is not positive definite within rounding errors.
     """
 
     # Ratio of residual to load above which a solve is inaccurate. With well-shaped cells the ratio
@@ -226,7 +227,9 @@ class DirectSolver:
         return Solution(moved, outcome, 0, left)
 
     def displacement_m(self, load_N: Array) -> Array:
-        """Return the displacement [m] under nodal forces [N], shape (n, 3), without any check.
+        """Return the displacement [m] under nodal forces [N], both of shape (n, 3).
+
+        The forces and the result are not checked.
 
         Forces on held components have no effect.
         """
@@ -236,7 +239,10 @@ class DirectSolver:
         return moved.reshape(load_N.shape)
 
     def displacements_m(self, loads_N: Array) -> Array:
-        """Return displacements [m] under k loads [N], each of shape (3n, k), without any check."""
+        """Return the displacements [m] under k loads [N], both of shape (3n, k).
+
+        The loads and the result are not checked.
+        """
         moved = np.zeros_like(loads_N)
         for start in range(0, loads_N.shape[1], TOGETHER):
             several = np.ascontiguousarray(loads_N[self._order.unknowns, start : start + TOGETHER])
@@ -246,7 +252,8 @@ class DirectSolver:
     def with_springs(self, root: csr_array) -> "DirectSolver":
         """Return a solver for the body with additional springs on nodes that are eliminated last.
 
-        Only the last block is factorised anew. Use only `displacement_m` of the result.
+        Only the last block is factorised anew. Of the returned solver, only `displacement_m` may be
+        used.
 
         Parameters
         ----------
@@ -275,9 +282,9 @@ class DirectSolver:
         """Compute the compliance between k nodes [m/N], shape (3k, 3k).
 
         The order of rows and columns is x, y, z node by node. The compliance of held nodes is zero.
-        For nodes that are eliminated last, the compliance is read from the last block of the
-        factor, which is the factor of the Schur complement of these nodes. For other nodes
-        back-substitutions are computed.
+        For nodes that are eliminated last, the compliance is computed from the last block of the
+        factor, the factor of the Schur complement. For other nodes, the compliance is computed by
+        back-substitution.
         """
         if not np.isin(nodes, self.last).all():
             unknowns = components_of(nodes)

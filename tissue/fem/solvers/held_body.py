@@ -21,9 +21,9 @@ body. The rounding error of this ratio is 1e-8.
 
 
 def rigid_modes(nodes_m: Array, about_m: Array) -> Array:
-    """Return nodal displacements of the six unit rigid motions, shape (n, 3, 6).
+    """Return the nodal displacements in six unit rigid motions, shape (n, 3, 6).
 
-    Three translations come first, then three rotations.
+    Three translations come first, followed by three rotations about `about_m`.
     """
     modes = np.zeros((len(nodes_m), 3, 6))
     modes[:, :, :3] = np.eye(3)
@@ -32,7 +32,7 @@ def rigid_modes(nodes_m: Array, about_m: Array) -> Array:
 
 
 def free_motion_count(nodes_m: Array, held: Flags) -> int:
-    """Return the number of independent rigid motions that move no held component.
+    """Return the number of independent rigid motions in which all held components stay at rest.
 
     Parameters
     ----------
@@ -86,8 +86,8 @@ class HeldBody:
     Raises
     ------
     InputError
-        If K is not finite, no component is held, a held node belongs to no cell, or a connected
-        part may move as a rigid body.
+        If K is not finite; if no component is held; if a held node belongs to no cell; or if a
+        connected part may move as a rigid body.
     """
 
     stiffness: bsr_array
@@ -159,7 +159,7 @@ class HeldBody:
         return load.ravel()[self.free]
 
     def whole(self, free_m: Array) -> Array:
-        """Return the displacements of all nodes [m], shape (n, 3), from the free unknowns."""
+        """Return the displacements of all nodes [m], shape (n, 3), given the free unknowns [m]."""
         displacement = np.zeros(self.nodes_m.shape)
         displacement.ravel()[self.free] = free_m
         return displacement
@@ -176,7 +176,7 @@ def held_nodes(held: Flags) -> Flags:
 
 
 def pointwise_graph(stiffness: bsr_array) -> csr_array:
-    """Return a sparse matrix with an entry for each pair of nodes in a cell, shape (n, n)."""
+    """Return a sparse matrix with an entry for each two nodes that share a cell, shape (n, n)."""
     blocks = stiffness.tobsr((3, 3))
     count = blocks.shape[0] // 3
     return csr_array(

@@ -21,16 +21,16 @@ from meshes.base.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Front:
-    """Block of unknowns that are eliminated together, and its place in the factorisation.
+    """Block of unknowns that are eliminated together, and the block's place in the factorisation.
 
     Attributes
     ----------
     start, stop
         Range of the block's unknowns, in order of elimination.
     below
-        Later unknowns that the elimination changes, in increasing order, shape (r,).
+        Later unknowns whose rows the elimination changes, in increasing order, shape (r,).
     children
-        Indices of the fronts whose changes are added to this front before its elimination.
+        Indices of the fronts whose updates are added to this front before its elimination.
     """
 
     start: int
@@ -47,8 +47,8 @@ def fronts_of(lower: csc_array, starts: Ints) -> list[Front]:
     lower
         Lower triangle of the matrix in order of elimination, shape (n, n).
     starts
-        Index of the first unknown of each block, in rising order, with n at the end, shape (blocks
-        + 1,).
+        Index of the first unknown of each block, in rising order, followed by n, shape (blocks +
+        1,).
     """
     marked = np.zeros(lower.shape[0], np.bool_)
     block_of = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
@@ -78,11 +78,12 @@ class Multifrontal:
     Parameters
     ----------
     matrix
-        Symmetric positive definite matrix in order of elimination, shape (n, n). Only its lower
-        triangle is read. The factor has the precision of the matrix, single or double.
+        Symmetric positive definite matrix, shape (n, n), whose unknowns are in order of
+        elimination. Only its lower triangle is read. The factor has the precision of the matrix,
+        single or double.
     starts
-        Index of the first unknown of each block, in rising order, with n at the end, shape (blocks
-        + 1,). The unknowns of a block are eliminated together.
+        Index of the first unknown of each block, in rising order, followed by n, shape (blocks +
+        1,). The unknowns of a block are eliminated together.
     fronts
         Fronts of another matrix with equal blocks and an equal pattern. By default, the fronts are
         computed.
@@ -90,7 +91,7 @@ class Multifrontal:
     Raises
     ------
     NotPositiveDefiniteError
-        If the matrix is not positive definite, apart from rounding.
+        If the matrix is not positive definite within rounding errors.
     """
 
     def __init__(
@@ -150,7 +151,7 @@ class Multifrontal:
         return np.tril(inverse) + np.tril(inverse, -1).T
 
     def with_last(self, unknowns: Ints, added: Array) -> "Multifrontal":
-        """Return the factor with a matrix added to some unknowns of the last block.
+        """Return the factor after `added` is added to the matrix at the unknowns `unknowns`.
 
         All unknowns must be in the block that is eliminated last.
         """

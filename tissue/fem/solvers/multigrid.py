@@ -44,12 +44,12 @@ class MultigridSolver:
     body
         The stiffness and its supports.
     tolerance
-        Allowed error, relative to the displacement, both in the energy norm. The error is estimated
-        as ``sqrt(r . B r / l)``. Here r is the residual, B a multigrid cycle, and l the smallest
-        eigenvalue of B K that the iterations have found (Meurant and Strakos 2006, Acta Numer.
-        15:471).
+        Allowed energy norm of the error, divided by the energy norm of the displacement. The error
+        is estimated as ``sqrt(r . B r / l)``. Here r is the residual, B is a multigrid cycle, and l
+        is the smallest eigenvalue of B K found in the iterations (Meurant and Strakos 2006, Acta
+        Numer. 15:471).
     limit
-        Largest number of iterations. A liver takes 20 iterations. If a body needs many more
+        Largest number of iterations. A liver mesh needs 20 iterations. If a body needs many more
         iterations, the multigrid cycle is not suitable for this body.
     """
 

@@ -51,10 +51,13 @@ from tissue.simulation.simulate import simulate
 from tissue.system.owned_folder import listed_files
 
 SAME_EVERYWHERE = "does not vary with the constants, because the path is given"
-NEEDS_RUNS = "depends on constants and needs a run of each sample (--each-run)"
-HOW = "the geometry was recorded once and reweighed, because the path is given"
+NEEDS_RUNS = "depends on the constants, but only runs of all samples give a band (--each-run)"
+HOW = (
+    "the geometry was recorded once and multiplied by the constants of each sample, because the "
+    "path is given"
+)
 HOW_RERUN = (
-    "every sample was run, because the force is not linear in the constants or moves the tool"
+    "every sample was run, because the force moves the tool or is not linear in the constants"
 )
 HOW_ASKED = "every sample was run, as requested"
 MOST_FAILED = 0.1
@@ -62,7 +65,7 @@ MOST_FAILED = 0.1
 
 If more samples failed, the ends of a 90 % band would describe only the remaining samples.
 """
-SAME = 3e-3
+LOAD_TOLERANCE = 3e-3
 """Largest accepted difference of a run's loads from the nominal loads of its band.
 
 The difference is relative to the peak load. It is not zero, because the loads of a band are
@@ -97,10 +100,10 @@ class Band:
         Summary values of each sample, shape (samples, figures). A value that a sample does not have
         is NaN, for example the time of an event that does not happen.
     numbers
-        Index of each sample in `files`, shape (samples,).
+        Index into `files` of each sample that did not fail, shape (samples,).
     files
-        Text of the materials file of each sample, including failed samples. Empty if the band was
-        read from a folder.
+        Text of the materials file of each sample. Failed samples are included. Empty if the band
+        was read from a folder.
     summary
         Content of ``summary.json`` under the key ``band``.
     """
@@ -139,7 +142,7 @@ def require_band(
     InputError
         If the number of samples is not between 16 and 65536, or an option has no effect. `workers`
         has no effect if `scheduler` is given, or if the loads of all samples follow from one run.
-        `each_run` has no effect for a scene that always needs a run of each sample.
+        `each_run` has no effect for a scene whose samples must always be run separately.
     """
     rounded(asked)
     if workers is not None:
@@ -196,8 +199,8 @@ def band_of(
     Raises
     ------
     InputError
-        For the reasons that `require_band` lists, if no constant has a range, or if more than a
-        tenth of the samples fail.
+        If `require_band` raises an error, no constant has a range, or more than a tenth of the
+        samples fail.
     """
     require_band(scene, asked, workers, scheduler, each_run=each_run)
     seed = scene.seed if seed is None else seed
@@ -346,7 +349,7 @@ def _rerun(
 
 
 def require_same(band: Band, loads: Array) -> None:
-    """Check that the loads of a run equal the loads of the band at the nominal constants.
+    """Check that the loads of a run equal the band's nominal loads.
 
     Parameters
     ----------
@@ -356,14 +359,15 @@ def require_same(band: Band, loads: Array) -> None:
     Raises
     ------
     InputError
-        If the run has fewer ticks than the band, or the loads differ by more than `SAME`.
+        If the run has fewer ticks than the band, or a load differs by more than the relative
+        tolerance `LOAD_TOLERANCE`.
     """
     count = len(band.times_s)
     if len(loads) >= count:
         run = with_sizes(loads[:count])
         # columns 3 and 7 are the sizes of force and torque; each scales its own components
         scales = np.repeat(np.abs(run[:, [3, 7]]).max(axis=0, initial=0.0), 4)
-        if (np.abs(band.nominal - run) <= SAME * scales).all():
+        if (np.abs(band.nominal - run) <= LOAD_TOLERANCE * scales).all():
             return
     raise InputError(
         "band",
@@ -383,7 +387,7 @@ The separator is not a dot, because the name of a layer or the text of an event 
 
 
 def save_band(band: Band, folder: Path, *, kind: str | None) -> None:
-    """Write a band into the folder of its run and replace an earlier band.
+    """Write a band into the folder of its run. An earlier band in the folder is replaced.
 
     `kind` is the format of the pictures. If it is None, no pictures are drawn.
 

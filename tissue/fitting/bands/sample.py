@@ -19,11 +19,12 @@ from tissue.materials.scene_constants import Materials
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import used_constants
 
-LEAST = 16
-MOST = 65536
+FEWEST_SAMPLES = 16
+MOST_SAMPLES = 65536
 """Largest number of samples of a band.
 
-`LEAST` is the smallest number, 16. With fewer samples, no sample would lie outside the 90 % band.
+`FEWEST_SAMPLES` is the smallest number, 16. With fewer samples, no sample would lie outside the
+90 % band.
 
 At 16,384 samples, the sampling error of a 95 % quantile is 0.12 % (``tests/bench/bench_band.py``).
 More than 65,536 samples would only cost time.
@@ -41,8 +42,8 @@ class Ranges:
     priors
         Prior of each constant. Every prior has a range.
     correlation
-        Correlation of the standard normal numbers from which the constants are computed, shape (p,
-        p).
+        Correlation matrix of the standard normal numbers that are transformed into the constants,
+        shape (p, p).
     """
 
     names: tuple[str, ...]
@@ -64,7 +65,7 @@ class Ranges:
         return tuple(" + ".join(self.names[at] for at in group) for group in self.groups)
 
     def x(self, free: Array) -> Array:
-        """Return the constants, shape (n, p), for standard normal numbers of the same shape.
+        """Convert standard normal numbers, shape (n, p), to values of the constants, same shape.
 
         The normal numbers are independent. The constants are correlated as `correlation` describes.
         """
@@ -92,9 +93,9 @@ def ranges_of(
     layers
         Layers of the scene's bone whose constants are returned.
     table
-        Only constants whose names begin with this text are returned.
+        Beginning of the names of the returned constants. An empty string selects all names.
     further
-        Priors of further numbers that vary, keyed by name.
+        Priors of other quantities that vary, keyed by name.
     """
     priors = {
         one.full: Prior.of(one.cited, one.full)
@@ -115,7 +116,9 @@ def rounded(asked: int) -> int:
     InputError
         If the number is not between 16 and 65536.
     """
-    count = int(require_range("band", asked, LEAST, MOST, "use a value such as 200"))
+    count = int(
+        require_range("band", asked, FEWEST_SAMPLES, MOST_SAMPLES, "use a value such as 200")
+    )
     return 1 << (count - 1).bit_length()
 
 
@@ -133,17 +136,17 @@ SOURCE = "a sample of a band"
 
 
 def sample_name(number: int, count: int) -> str:
-    """Return the name of the file of a sample, such as ``sample_017.toml`` of 256 samples."""
+    """Return the file name of a sample, such as ``sample_017.toml`` if there are 256 samples."""
     return f"sample_{number:0{len(str(count - 1))}d}.toml"
 
 
 def sampled(constants: Materials, names: Sequence[str], x: Array) -> Materials:
-    """Return a copy of the constants with the values `x` of a sample.
+    """Return a copy of the constants with the values `x` of a sample for the constants `names`.
 
     `x` has shape (p,).
 
-    The names have the form ``TABLE.MATERIAL.NAME``. Density factors are left out, because they are
-    not constants of a material.
+    Each entry of `names` has the form ``TABLE.MATERIAL.NAME``. Density factors are left out,
+    because they are not constants of a material.
     """
     values = (Constant(value, value, value, SOURCE, "L") for value in map(float, x))
     drawn = {
@@ -194,10 +197,10 @@ def sobol_indices(
 ) -> Array:
     """Compute first-order and total Sobol indices of a function of standard normal numbers.
 
-    The numbers are independent. Two random matrices A and B are drawn. For each group of constants,
-    a third matrix is a copy of A in which the columns of this group are taken from B. First-order
-    indices use the formula of Saltelli et al. (2010, Comput. Phys. Commun. 181:259, table 2 b).
-    Total indices use the formula of Jansen (table 2 f in the same paper).
+    The numbers are independent. Two random matrices A and B are drawn. For each group of columns, a
+    third matrix is a copy of A with the columns of the group taken from B. First-order indices use
+    the formula of Saltelli et al. (2010, Comput. Phys. Commun. 181:259, table 2 b). Total indices
+    use the formula of Jansen (table 2 f in the same paper).
 
     Parameters
     ----------
@@ -213,8 +216,9 @@ def sobol_indices(
     Returns
     -------
     Influence of each group of constants on each value, shape (2, 3, groups, figures). The first
-    axis is first-order and total index. The second axis is the index and the two ends of its 90 %
-    bootstrap interval. The indices of a value that does not vary are NaN.
+    axis contains the first-order index and the total index. The second axis contains the index and
+    the lower and upper ends of its 90 % bootstrap interval. The indices of a value that does not
+    vary are NaN.
     """
     width = sum(map(len, groups))
     both = normals(count, 2 * width, seed=seed)
@@ -267,13 +271,14 @@ REFITS = 100
 def surrogate_indices(
     free: Array, figures: Array, groups: tuple[tuple[int, ...], ...], *, seed: int
 ) -> tuple[Array, Array]:
-    """Return Sobol indices of summary values, and the share of variance that a polynomial explains.
+    """Compute Sobol indices of summary values with a polynomial, and the variance it explains.
 
     The indices have the form of `sobol_indices`.
 
     The polynomial is a sum of products of normalised Hermite polynomials up to degree two. Its
-    coefficients are found by ridge regression and give the indices (Sudret 2008, Reliab. Eng. Syst.
-    Saf. 93:964). The share is evaluated on runs that are not used in the fit.
+    coefficients are found by ridge regression. The indices are computed from the coefficients
+    (Sudret 2008, Reliab. Eng. Syst. Saf. 93:964). The share of explained variance is evaluated on
+    runs that are not used in the fit.
 
     Parameters
     ----------

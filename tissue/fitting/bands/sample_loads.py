@@ -62,7 +62,7 @@ class Reweighed:
 
     @cached_property
     def ranges(self) -> Ranges:
-        """Constants of the touched layers that have a range.
+        """Constants that belong to touched layers and have a range.
 
         Constants that the scene sets itself are left out.
         """
@@ -83,7 +83,7 @@ class Reweighed:
         return np.array([prior.value for prior in self.ranges.priors])
 
     def weights(self, x: Array) -> Array:
-        """Return the factors, shape (samples, units), by which the unit loads are multiplied.
+        """Return the factors, shape (samples, unit loads), by which the unit loads are multiplied.
 
         The constants `x` of the samples have shape (samples, p). Unit loads are described in
         `tissue.simulation.load_record.LayerLoads`.
@@ -100,7 +100,7 @@ class Reweighed:
         return np.array(rows)
 
     def figures(self, x: Array) -> Array:
-        """Return the summary values `LOADS`, shape (samples, 4), of samples with constants `x`."""
+        """Return the summary values `LOADS` for constants `x`, shape (samples, 4)."""
         weights = self.weights(x)
         peak = np.zeros((len(x), 2))
         sums = np.zeros((len(x), 2))
@@ -115,7 +115,7 @@ class Reweighed:
         return np.stack([peak[:, 0], means[:, 0], peak[:, 1], means[:, 1]], axis=1)
 
     def quantiles(self, x: Array, levels: tuple[float, ...]) -> Array:
-        """Return quantiles of `CHANNELS` over the samples at each tick, shape (levels, n, 8)."""
+        """Return quantiles of the loads over all samples at each tick, shape (levels, n, 8)."""
         found = np.zeros((len(levels), len(self.record.times_s), len(CHANNELS)))
         for ticks, loads in self._blocks(self.weights(x)):
             found[:, ticks] = np.quantile(with_sizes(loads), levels, axis=0)
@@ -138,7 +138,9 @@ class Reweighed:
 
 
 def with_sizes(loads: Array) -> Array:
-    """Append the magnitudes of force and torque to the components: from shape (..., 6) to (..., 8).
+    """Append the magnitudes of force and torque to the components.
+
+    The shape changes from (..., 6) to (..., 8).
 
     The components have the order of `CHANNELS`.
     """
@@ -149,10 +151,10 @@ def with_sizes(loads: Array) -> Array:
 
 
 def density_prior(law: str) -> Prior | None:
-    """Return the prior of a layer's density factor, read from a note on the CT-to-density law.
+    """Return the prior of a layer's density factor from the note `law` on the CT-to-density law.
 
     The result is None if the note describes no law. The note gives the median density and its 90 %
-    range. The relative range is applied to every voxel.
+    range. The range relative to the median is applied to every voxel.
     """
     found = LAW.search(law)
     # a density that the scene states has no law and no band
@@ -190,9 +192,9 @@ LARGEST_PREFIX = "greatest_"
 def figures_of(run: Run) -> dict[Figure, float]:
     """Return the numbers that summarise a run.
 
-    The numbers are loads, volumes, contact, clearances, largest temperature and stress, and times
-    of events. An event is named by its sentence without numbers, and only its first occurrence
-    counts. Events that report that the computer was too slow are left out.
+    The numbers are loads, volumes, the contact share, clearances, the largest temperature and
+    stress, and times of events. An event is named by its message with the numbers removed, and only
+    its first occurrence counts. Events that report that the computer was too slow are left out.
     """
     summary = run.summary
     trace = run.trace
@@ -240,7 +242,7 @@ def table_of(runs: list[dict[Figure, float]]) -> tuple[tuple[Figure, ...], Array
 
 
 def intervals(names: tuple[Figure, ...], values: Array) -> Summary:
-    """Return quantiles of summary values, nested as in a run's summary.
+    """Return quantiles of summary values as nested dictionaries, like a run's summary.
 
     For a summary value that only some runs have, the share of these runs is added.
 
@@ -280,7 +282,7 @@ def over_time(loads: list[Array], times_s: Array) -> tuple[Array, Summary]:
     """Compute the quantiles `LEVELS` of the loads at each tick.
 
     Runs may end at different ticks. A tick has quantiles if at least nine in ten runs last until
-    this tick. The quantiles are computed from these runs.
+    this tick. The quantiles are computed from the runs that last until this tick.
 
     Parameters
     ----------
@@ -330,7 +332,7 @@ class Workers:
 def reruns(
     scene: Scene, files: tuple[str, ...], *, workers: Workers, report: Progress
 ) -> Iterator[tuple[int, Outcome]]:
-    """Run a scene with each materials file, and yield the number and outcome of each ended run.
+    """Run a scene with each materials file, and yield each run's number and outcome when it ends.
 
     Raises
     ------
@@ -386,7 +388,7 @@ def _outcome(scene: Scene, compute: str, sample: tuple[int, str]) -> Outcome:
 
 
 def loads_of(run: Run) -> Array:
-    """Return the model's forces and torques on the tool with their magnitudes, shape (n, 8)."""
+    """Return the model's force and torque on the tool, and their magnitudes, shape (n, 8)."""
     trace = run.trace
     loads = [trace.vectors("model_force", "N"), trace.vectors("model_torque", "Nm")]
     return with_sizes(np.hstack(loads))

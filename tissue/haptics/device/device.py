@@ -73,7 +73,7 @@ class KnowsTruth(Protocol):
 
 
 @runtime_checkable
-class StatesPlayed(Protocol):
+class ReportsPlayedForce(Protocol):
     """Device that may apply less than the commanded force, and reports the applied force."""
 
     @property
@@ -118,8 +118,8 @@ class DeviceParameters:
     mass_kg, damping_N_s_m, friction_N
         Apparent mass [kg], viscous friction [N s/m] and Coulomb friction [N] at the tip.
     encoder_step_m
-        Position resolution of the encoders [m]; 0 for exact positions. For a trained force
-        predictor, the variant for this resolution is used.
+        Position resolution of the encoders [m]; 0 for exact positions. A trained force predictor is
+        adapted to this resolution.
     force_limit_N
         Largest force [N].
     force_slew_N_ms
@@ -129,7 +129,8 @@ class DeviceParameters:
         each tick of 1 ms. With a lower rate, each force is held until the next sample of the
         device.
     transport_delay_s
-        Time from a sample to the force computed from it, in addition to the zero-order hold [s].
+        Time from a sample to the force that is computed from it [s]. The zero-order hold adds to
+        this time.
     amplifier_Hz
         Bandwidth of the motor amplifiers [Hz]; infinite for no lag.
     inertia_kg_m2, damping_Nm_s_rad, friction_Nm, encoder_step_rad
@@ -239,7 +240,7 @@ def device_parameters(name: str, constants: Materials = Materials.cited) -> Devi
     return DeviceParameters(**constants.numbers("devices", DEVICES[name].numbers, name))
 
 
-FURTHER = 3.0
+REACH_RATIO = 3.0
 """Reach of a device's arm divided by the diagonal of its published workspace.
 
 The Touch has a published workspace of 160 x 120 x 70 mm, but its arm moves in 431 x 348 x 165 mm.
@@ -251,7 +252,7 @@ UNSTATED_M = 3.0
 
 The value is larger than the length of a human arm.
 """
-MOST_WRONG = 20
+SAMPLES_BEYOND_REACH = 20
 """Number of consecutive samples beyond the reach after which an error is raised.
 
 A single such sample is a temporary fault, which `SampleGuard` handles.
@@ -275,7 +276,7 @@ class Reach:
     def __init__(self, limits: DeviceParameters) -> None:
         self._edges_m = limits.workspace_m
         diagonal_m = float(np.linalg.norm(self._edges_m))
-        self.limit_m = FURTHER * diagonal_m if isfinite(diagonal_m) else UNSTATED_M
+        self.limit_m = REACH_RATIO * diagonal_m if isfinite(diagonal_m) else UNSTATED_M
         self._first: Triple | None = None
         self._wrong = 0
 
@@ -284,7 +285,7 @@ class Reach:
         self._first = None
         self._wrong = 0
 
-    def require(self, position_m: Triple, *, samples: int = MOST_WRONG) -> None:
+    def require(self, position_m: Triple, *, samples: int = SAMPLES_BEYOND_REACH) -> None:
         """Check a position [m], and raise an error after several positions beyond the reach.
 
         The error is raised after ``samples`` consecutive positions beyond the reach.

@@ -162,7 +162,7 @@ class Fault:
 
 
 class FaultyDevice(ComputedDevice):
-    """Wrapper of a device that makes its samples faulty for a limited time, for tests.
+    """Wrapper, for tests, that makes the samples of a device faulty for a limited time.
 
     During the fault, samples are dropped, late, repeated, or have a wrong position.
     """

@@ -14,7 +14,13 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError, counted
-from tissue.haptics.device.device import Device, DeviceError, DeviceParameters, Sample, StatesPlayed
+from tissue.haptics.device.device import (
+    Device,
+    DeviceError,
+    DeviceParameters,
+    ReportsPlayedForce,
+    Sample,
+)
 from tissue.haptics.loop.filters import SlewLimit
 from tissue.models.tissue_model import TICK_S
 from tissue.system.stopping import (
@@ -55,12 +61,12 @@ The second thread waits for a lock, for the command and for the close, each for 
 The sum of 0.6 s is less than `GIVE_UP_S`.
 """
 OPENED = ", and give it without `with`: the run opens and closes it"
-IDLE = ("", inf)
+NO_CALL = ("", inf)
 """Stored name and start time of a call while no call of the device is running."""
 
 
 class SafeDevice:
-    """Wrapper of a device that guarantees zero force and torque as the last command.
+    """Wrapper that guarantees that the last command to a device is zero force and torque.
 
     ``with SafeDevice(device) as held:`` enters the device if it is a context manager. At a regular
     end of the block and after `stop`, the force is ramped to zero in `RAMP_S`. After an exception,
@@ -92,7 +98,7 @@ class SafeDevice:
     entered
         True inside the ``with`` block.
     released
-        True if another thread has commanded zero force since the last read that was not late.
+        True after another thread has commanded zero force, until the loop resets the value.
     slow_reads, slowest_read_s
         Number of reads that took longer than a tick, and the longest duration of such a read [s].
     """
@@ -107,7 +113,7 @@ class SafeDevice:
         self._holder = device if isinstance(device, SafeDevice) else None
         self.device: Device = device.device if isinstance(device, SafeDevice) else device
         self.in_process = bool(getattr(self.device, "in_process", False))
-        self._states = self.device if isinstance(self.device, StatesPlayed) else None
+        self._states = self.device if isinstance(self.device, ReportsPlayedForce) else None
         self.entered = False
         self.released = False
         self.slow_reads = 0
@@ -120,7 +126,7 @@ class SafeDevice:
         self._torque = SlewLimit(inf if limits is None else tick_ms * limits.torque_slew_Nm_ms)
         self._lock = threading.Lock()
         self._stack = ExitStack()
-        self._call = IDLE  # name and start time of the running call
+        self._call = NO_CALL  # name and start time of the running call
         self._played = inf  # time of the last command that was not zero
         self._stop: BaseException | None = None
         self._lost: DeviceError | None = None
@@ -144,7 +150,9 @@ class SafeDevice:
                 f"because {late}"
             )
         if held := max(self._force.limited, self._torque.limited):
-            found.append(f"the device's slew held the force back in {counted(held, 'tick')}")
+            found.append(
+                f"the device's limit of the force rate reduced the force in {counted(held, 'tick')}"
+            )
         stated = self._states.happened() if self._states is not None else []
         return stated + [(self._time_s, what) for what in found]
 
@@ -297,7 +305,7 @@ class SafeDevice:
         except Exception as error:
             raise self._failed(name, error) from error
         finally:
-            self._call = IDLE
+            self._call = NO_CALL
 
     def _ramp(self) -> None:
         """Ramp the last force linearly to zero.
@@ -343,14 +351,14 @@ class SafeDevice:
         if self._closed:
             return ""
         if close is None:
-            return "; it has no close and may still push, switch it off"
+            return "; it has no method close and may still push: switch it off"
         self._closed = True
         if self._holder is not None:
             self._holder._closed = True
         return (
             "; it was closed"
             if returned_within(ANSWER_S, close)
-            else "; it did not close and may still push, switch it off"
+            else "; it did not close and may still push: switch it off"
         )
 
     def _failed(self, name: str, error: Exception) -> DeviceError:
@@ -375,7 +383,7 @@ A check delays the ticks by some microseconds.
 
 
 def run_held(work: Callable[[], None], held: SafeDevice) -> None:
-    """Run the loop ``work`` of a device, and ensure that no force remains at its end.
+    """Run the loop ``work`` of a device, and ensure that the last force is zero.
 
     If the device may block, the loop runs in a second thread, because a blocked call cannot be
     interrupted. If the loop hangs, the calling thread commands zero force. If the device then does

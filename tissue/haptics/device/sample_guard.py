@@ -421,9 +421,9 @@ The value allows for up to two missing samples and half a period of jitter.
 class NewSamples:
     """Detector for the ticks in which a device has a new sample.
 
-    A new sample of a device with its own clock has a new time. Any other device returns its last
-    pose again, with the time of the present tick. For such a device, a pose counts as new if it has
-    changed, or if it was unchanged for the time between two samples.
+    If a device has its own clock, a new sample is recognised by its changed time. Any other device
+    returns its last pose again, with the time of the present tick. For such a device, a pose counts
+    as new if it has changed, or if it was unchanged for the time between two samples.
 
     Parameters
     ----------

@@ -169,8 +169,8 @@ class SimulatedDevice(ComputedDevice):
         Start position [m].
     substeps
         Integration steps of the moving mass per tick; they affect only the friction. For a
-        simulated hand on a virtual wall, encoder positions with 5 and with 100 steps differ by
-        single encoder steps (RMS 4.5 um).
+        simulated hand on a virtual wall, 5 and 100 integration steps give encoder positions that
+        differ by single increments (RMS 4.5 um).
 
     Attributes
     ----------
@@ -234,7 +234,7 @@ class SimulatedDevice(ComputedDevice):
 
     @property
     def true_position_m(self) -> Triple:
-        """True position of the tip, which the encoders read with quantisation [m]."""
+        """True position of the tip [m], not rounded to encoder steps."""
         return self.translation.position
 
     def read(self, time_s: float) -> Sample | None:

@@ -317,7 +317,7 @@ class Hand:
         self._drawn: list[list[float]] = []
 
     def act(self, time_s: float, position_m: Triple) -> HandAction:
-        """Return the action of the hand with the device at ``position_m`` [m]."""
+        """Return the action of the hand when the device is at ``position_m`` [m]."""
         (x, y, z), (u, v, w) = self._aim.at(time_s)
         if not self._drawn:
             self._drawn = self._rng.standard_normal((BLOCK, 9)).tolist()

@@ -26,7 +26,7 @@ class FeltDrop:
     """Detector of a drop of the felt force below its largest previous value.
 
     A participant feels the mean force over ``integration_s``. Let F be the largest previous mean. A
-    drop is noticed when the mean is below F by `THRESHOLDS` times kappa (F + F0).
+    drop is noticed when F minus the mean exceeds `THRESHOLDS` times kappa (F + F0).
 
     Attributes
     ----------
@@ -58,8 +58,8 @@ class PushingHand:
 
     The position of the device along the line is s(t). The aim a(t), which is the target position of
     the hand, is ahead of the device. The grip pushes with K (a - s), where K is the stiffness of
-    grip and reflex. The aim follows the felt motion of the device. In addition, it advances with
-    the speed rate / K::
+    grip and reflex. The aim follows the felt motion of the device. In addition, it advances at the
+    speed rate / K::
 
         da/dt = (s(t - r) - s(t - r - w)) / w + rate / K
 
@@ -149,7 +149,7 @@ class PushingHand:
         return (x + aim * i, y + aim * j, z + aim * k), (speed * i, speed * j, speed * k)
 
     def act(self, time_s: float, position_m: Triple) -> HandAction:
-        """Return the action of the hand with the device at ``position_m`` [m]."""
+        """Return the action of the hand when the device is at ``position_m`` [m]."""
         before = self.advance_m
         moved = [at - start for at, start in zip(position_m, self._start, strict=True)]
         self.advance_m = self._along(moved)
@@ -205,9 +205,8 @@ class CompensatedPath:
     """Path of a hand that moves beyond the target, so that the tool reaches the target.
 
     If a hand moved only to the target, the tool would stop where spring and resistance balance. At
-    every correction, this path therefore moves the hand farther, by a share of the visible position
-    error of the tool. The share is larger if the tool moved less than the hand in the last
-    corrections.
+    every correction of the hand, this path therefore adds a share of the visible position error of
+    the tool. The share is larger if the tool moved less than the hand in the last corrections.
 
     Attributes
     ----------
@@ -216,7 +215,8 @@ class CompensatedPath:
     tool
         Tool that the haptic device moves, with its present position.
     lead_s
-        Time by which the simulated hand reads its path in advance [s].
+        Look-ahead of the simulated hand: it evaluates the path at the present time plus `lead_s`
+        [s].
     furthest_m
         Largest distance by which the hand moves beyond the path [m].
     """

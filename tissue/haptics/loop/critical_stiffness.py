@@ -14,7 +14,7 @@ import numpy as np
 from meshes.base.errors import require_positive, require_range
 from meshes.base.hints import suggests_arguments
 from tissue.haptics.loop.filters import low_pass_gain
-from tissue.haptics.loop.sampled_loop import WallLoop, largest_eigenvalue, spectral_radius
+from tissue.haptics.loop.sampled_loop import WallLoop, growth_per_model_step, spectral_radius
 
 SOFTEST_N_M = 1e-2
 STIFFEST_N_M = 1e8
@@ -31,7 +31,7 @@ with amplitudes up to the average force, were tried on a Touch. With 24 steps, t
 only windows in which the oscillation grows by less than 1 / 5000 per tick. With 16 steps, it also
 misses windows in which the oscillation grows by 1 / 700 per tick.
 """
-ON_THE_CIRCLE = 1e-12
+STABILITY_TOLERANCE = 1e-12
 """Tolerance with which the magnitude of an eigenvalue is compared with the stability limit 1.
 
 A magnitude above 1 minus this value is treated as unstable, because an eigenvalue of exactly 1 may
@@ -53,7 +53,7 @@ class Verdict:
         Stability margin 1 - K / K_critical, with the wall stiffness K. The margin is 0 at the
         stability limit, and negative above the limit.
     critical_N_m
-        Lowest stiffness [N/m] at which a mode does not decay, for the hand with the lowest limit.
+        Lowest stiffness [N/m] at which a mode does not decay, for the hand with the lowest value.
     nearest_N_m
         The given stiffness if it is stable, otherwise the nearest stable stiffness, rounded down to
         three digits [N/m].
@@ -124,11 +124,11 @@ def settling_hands(loop: WallLoop, hands: Sequence[LinearHand]) -> tuple[LinearH
 def critical_stiffness_N_m(loop: WallLoop) -> float:
     """Return the lowest stiffness at which the loop is unstable [N/m].
 
-    The result is 0 if the softest wall is unstable, and inf if no wall is unstable. The search
-    starts at the softest wall, with `STEPS` or `NARROW_STEPS` steps per decade. Between the last
-    stable and the first unstable value, Brent's method refines the result with a relative tolerance
-    of 1e-10. Each stiffness above the result is reported as unstable, even if stable windows exist
-    there.
+    The result is 0 if the loop is unstable with the softest wall, and inf if it is stable with
+    every wall. The search starts at the softest wall, with `STEPS` or `NARROW_STEPS` steps per
+    decade. Between the last stable and the first unstable value, Brent's method refines the result
+    with a relative tolerance of 1e-10. Each stiffness above the result is reported as unstable,
+    even if stable windows exist there.
     """
     return _critical_N_m(loop.with_stiffness(SOFTEST_N_M))
 
@@ -187,7 +187,7 @@ def judge(loop: WallLoop, hands: Sequence[tuple[float, ...]] | None = None) -> V
     """Check the stability of a loop.
 
     If ``hands`` are given (see `in_hands`), these hands replace the hand of the loop. The result is
-    then valid for the worst of these hands.
+    then valid for the least stable hand.
     """
     loops = (loop,) if hands is None else in_hands(loop, hands)
     critical = min(critical_stiffness_N_m(each) for each in loops)
@@ -200,20 +200,20 @@ def judge(loop: WallLoop, hands: Sequence[tuple[float, ...]] | None = None) -> V
 
 def _beyond(stiffness_N_m: float, loop: WallLoop) -> float:
     """Return the largest eigenvalue minus the stability limit; negative for a stable loop."""
-    return largest_eigenvalue(loop.with_stiffness(stiffness_N_m)) - (1.0 - ON_THE_CIRCLE)
+    return growth_per_model_step(loop.with_stiffness(stiffness_N_m)) - (1.0 - STABILITY_TOLERANCE)
 
 
 def passive_bound_N_m(loop: WallLoop) -> float:
     """Return the largest stiffness of a passive wall (Colgate and Schenkel, 1997) [N/m].
 
-    A passive wall is stable in any passive hand. The bound is the largest K with b > T / 2 Re{(1 -
-    exp(-j w T)) H} / (1 - cos w T) on a grid of frequencies w. b is the damping of the device
-    alone. T is the time for which a force is held. For a slow model, it is the step of the tissue
-    model. H is the transfer function of the wall, with its stiffness K and damping B, of the
-    filter, and of the delay. The delay is rounded up to whole steps and includes the lag of the
-    amplifier. For a slow model with a filter, which changes the held force within a step, one more
-    step of delay is added. Without delay and filter, the bound is 2 (b - |B|) / T. The result is 0
-    if no stiffness is passive.
+    With a passive wall, the loop is stable for any passive hand. The bound is the largest K that
+    satisfies b > T / 2 Re{(1 - exp(-j w T)) H} / (1 - cos w T) on a grid of frequencies w. b is the
+    damping of the device alone. T is the time for which a force is held. If the tissue model is
+    slower than the loop, T is the step of the tissue model. H is the product of the transfer
+    functions of the wall (stiffness K, damping B), the filter and the delay. The delay is rounded
+    up to whole steps and includes the lag of the amplifier. For a slow model with a filter, which
+    changes the held force within a step, one more step of delay is added. Without delay and filter,
+    the bound is 2 (b - |B|) / T. The result is 0 if no stiffness is passive.
     """
     step = loop.tick_s * loop.model_ticks
     lag = loop.delay_s + 1.0 / (2.0 * pi * loop.amplifier_Hz)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.cache import Kept
+from meshes.base.cache import RecentResults
 from meshes.base.errors import InputError
 from tissue.prediction.predictor import Contact, SeesContact
 
@@ -47,7 +47,7 @@ The value is three times the longest memory of the built-in predictors.
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Forecast:
-    """Linear model of a predicted force: sum of taps(a) . (x, v, F)(t - a) over ages a.
+    """Linear model of a predicted force: taps(a) . (x, v, F)(t - a), summed over all ages a.
 
     Two forecasts are equal only if they are the same object. For equal predictors, `forecast_of`
     returns the same object, so that cached results of the stability analysis can be reused.
@@ -59,12 +59,12 @@ class Forecast:
         [N/N]. The phase is the number of ticks from the last response of the tissue model to the
         observation. A force is observed only in phase 0.
     gain
-        Gain C in F + C (F_ahead - F), the force at the device, where F is the present and F_ahead
-        the predicted force. A gain of 0 gives the present force, and a gain of 1 the predicted
+        Gain C. The force at the device is F + C (F_ahead - F), with the present force F and the
+        predicted force F_ahead. A gain of 0 gives the present force, and a gain of 1 the predicted
         force.
     stiffness_N_m
-        Coupling stiffness of the contact with which the predictor was probed [N/m]. The responses
-        to position and velocity are proportional to this stiffness. None for a predictor without
+        Stiffness of the contact for which the responses were computed [N/m]. The responses to
+        position and velocity are proportional to this stiffness. None for a predictor without
         contact.
     """
 
@@ -79,7 +79,7 @@ class Forecast:
         return ages if self.taps[:, :, :2].any() else 0, ages
 
 
-_forecasts: Kept["Forecast"] = Kept(256)
+_forecasts: RecentResults["Forecast"] = RecentResults(256)
 """Cache of forecasts; a study needs about ten for each combination of task, latency and device."""
 OUT = np.array([0.0, 0.0, 1.0])
 """Direction out of the tissue during a probe."""

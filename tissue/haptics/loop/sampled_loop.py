@@ -123,7 +123,7 @@ class WallLoop:
 
     @property
     def vibration_factors(self) -> Array:
-        """Vibration divided by the averaged force, shape (model_ticks, n), over n model steps."""
+        """Vibration divided by the averaged force in n model steps, shape (model_ticks, n)."""
         return (
             np.zeros((self.model_ticks, 1))
             if self.vibration is None
@@ -162,7 +162,7 @@ def plant_step(
 def parts_of_tick(delay_s: float, tick_s: float) -> list[tuple[float, int]]:
     """Return the parts of a tick in which the delayed force is constant.
 
-    Each part has its length [s] and the age of its force [ticks].
+    Each part is a pair: its length [s] and the age of the force in this part [ticks].
     """
     # 1e-9 is for delays that are a whole number of ticks apart from rounding.
     whole = int(delay_s / tick_s + 1e-9)
@@ -175,14 +175,13 @@ def parts_of_tick(delay_s: float, tick_s: float) -> list[tuple[float, int]]:
 def loop_matrix(loop: WallLoop) -> Array:
     """Return the square matrix that maps the loop's state to its state one model step later.
 
-    For a loop with a vibration, the matrix maps over one period of the vibration. The state
-    contains position, velocity and motor force, the position at the last model step, the filtered
-    force, the pending forces and the velocity filter. With a forecast, it also contains the
-    observed positions, velocities and forces. With a vibration, the state contains the envelope of
-    the force, and with a reflex the positions during the reflex delay. The columns of the matrix
-    are the responses of the loop to unit states, computed tick by tick. The matrix over a period is
-    the product of the matrices of its model steps. The eigenvalues determine the stability
-    (Floquet).
+    With a vibration, the later state is one period of the vibration later. The state contains
+    position, velocity and motor force, the position at the last model step, the filtered force, the
+    pending forces and the velocity filter. With a forecast, it also contains the observed
+    positions, velocities and forces. With a vibration, the state contains the envelope of the
+    force, and with a reflex the positions during the reflex delay. The columns of the matrix are
+    the responses of the loop to unit states, computed tick by tick. The matrix over a period is the
+    product of the matrices of its model steps. The eigenvalues determine the stability (Floquet).
     """
     parts = parts_of_tick(loop.delay_s, loop.tick_s)
     spring = loop.hand_stiffness_N_m
@@ -295,7 +294,7 @@ class ForecastMemory:
         self.forces = forces
 
     def predict(self, position: Array, speed: Array | None, model: Array, tick: int) -> Array:
-        """Return the force at the device in a tick of the model step.
+        """Return the force at the device in tick number ``tick`` of a model step.
 
         The force is computed from the position, the filtered speed and the model force.
         """
@@ -326,7 +325,7 @@ class ForecastMemory:
         return model + forecast.gain * (predicted - model)
 
 
-def largest_eigenvalue(loop: WallLoop) -> float:
+def growth_per_model_step(loop: WallLoop) -> float:
     """Return the growth factor per model step of the mode that decays most slowly.
 
     The factor is the magnitude of the largest eigenvalue of `loop_matrix`. If this matrix maps over
@@ -344,7 +343,7 @@ def spectral_radius(loop: WallLoop) -> float:
 
     The loop is stable if this factor is below 1, and unstable if it is above 1.
     """
-    return float(largest_eigenvalue(loop) ** (1.0 / loop.model_ticks))
+    return float(growth_per_model_step(loop) ** (1.0 / loop.model_ticks))
 
 
 def motor_lag_ticks(loop: WallLoop) -> float:

@@ -182,8 +182,8 @@ def stability_map(chosen: WallLoop, *, rows: int = 60, columns: int = 25) -> Sta
 
     The damping ranges from zero to the value at which a damper stops the mass within the delay plus
     one step. This value is far above the damping with the largest critical stiffness. The delay
-    ranges from zero to eight ticks. The stiffness ranges from a twentieth of the smallest to three
-    times the largest value among the critical stiffnesses and the chosen stiffness.
+    ranges from zero to eight ticks. The stiffness range depends on the critical stiffnesses and the
+    chosen stiffness. It is from 1/20 of the smallest to three times the largest of these values.
     """
     step_s = chosen.tick_s * chosen.model_ticks + chosen.delay_s
     most = (chosen.mass_kg + chosen.hand_mass_kg) / step_s

@@ -67,7 +67,7 @@ class Vibration:
         return self.share * cos(2.0 * pi * self._turns * tick)
 
     def period(self, model_ticks: int = 1) -> Array:
-        """Return the vibration divided by the average force, over a common period with the model.
+        """Return vibration divided by average force, over a common period of vibration and model.
 
         The common period is n steps of the tissue model. The result has shape (model_ticks, n).
 
@@ -87,8 +87,8 @@ class PlayedVibration:
 
     The vibration is F_v = share E cos(2 pi f t). E is the force F averaged with a time constant tau
     of 0.05 s: dE/dt = (F - E) / tau. Within a period of the vibration, E is nearly constant. The
-    vibration therefore hardly depends on the state of the loop. A change of the force at the
-    frequency g returns through the vibration at the frequencies f - g and f + g. On this path, the
+    vibration therefore hardly depends on the state of the loop. If the force changes at the
+    frequency g, the vibration changes at the frequencies f - g and f + g. On this path, the
     amplitude of the change is multiplied by at most share / sqrt(1 + (2 pi g tau)^2). Two limits
     reduce the amplitude of the vibration. The sum of force and vibration stays within the largest
     force of the device. The vibration uses at most half of the slew rate, because a loop at its
@@ -307,7 +307,7 @@ class PlayedForce:
         return wanted, compressed
 
     def pause(self) -> None:
-        """Reset all stages after a tick without a valid device sample and without a force."""
+        """Reset all stages after a tick that had neither a valid device sample nor a force."""
         for part in (self._person, self._vibration, self._cues):
             if part is not None:
                 part.pause()

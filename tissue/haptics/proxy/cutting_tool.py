@@ -82,7 +82,7 @@ class CutTissue(Protocol):
         The first array is the value of the linear function at zero velocity, shape (6,). The second
         array, shape (6, unknowns), has its derivatives with respect to the first 3 or all 6
         components of the velocity. With 3 unknowns, the torque in the first array is the torque at
-        the velocity itself.
+        ``velocity``, not at zero velocity.
 
         All vectors have components along the axes of the tool at the pose of `find_bone`.
         """
@@ -137,7 +137,7 @@ class CuttingTool(HeldTool):
         self._searched: Quaternion | None = None
         self._rotation = np.eye(3)
 
-    def meet(self, tissue: CutTissue, rotation: Array) -> None:
+    def set_tissue(self, tissue: CutTissue, rotation: Array) -> None:
         """Set the tissue, and the initial rotation from tool to world."""
         self._tissue = tissue
         self._start = rotation.copy()

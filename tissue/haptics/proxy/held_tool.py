@@ -25,9 +25,9 @@ At a rotation of pi, the direction of the torque would be undefined.
 class HeldTurn:
     """Rotation of the tool from its first orientation, as a unit quaternion.
 
-    The torques of spring and tissue balance: k theta + T = 0. Here theta is the rotation vector
-    from tool to device, and T the torque on the tool about its tip. One Newton step per tick is
-    computed, with the torque of the last tick. An isotropic stiffness of the tissue is estimated
+    The torques of spring and tissue are in balance: k theta + T = 0. Here theta is the rotation
+    vector from tool to device, and T the torque on the tool about its tip. One Newton step per tick
+    is computed, with the torque of the last tick. An isotropic stiffness of the tissue is estimated
     from the change of torque along the last rotations of the tool. An increase of the estimate is
     used at once, and a decrease gradually. Without a torque, the tool has the orientation of the
     device.
@@ -35,8 +35,8 @@ class HeldTurn:
     Parameters
     ----------
     stiffness_Nm_rad
-        Stiffness of the spring for torques at the tool, before scaling to the device [N m/rad]. The
-        stiffness is infinite for a tool that turns with its device.
+        Stiffness of the spring, as torque on the tool (not on the device) divided by angle [N
+        m/rad]. The stiffness is infinite for a tool that turns with its device.
     """
 
     def __init__(self, stiffness_Nm_rad: float = inf) -> None:
@@ -98,13 +98,13 @@ class HeldTool(ABC):
     """Law for the pose of a tool that is coupled to a device by a spring.
 
     The spring force is the stiffness times the distance from tool to device. The pose of the device
-    is given as the pose that the tool would have without a force. Its position [m] is scaled to the
-    tool, and its rotation is relative to the first orientation.
+    is given as the pose that the tool would have without a force. The position [m] is scaled by the
+    motion scale, and the rotation is relative to the first orientation.
 
     Parameters
     ----------
     stiffness_N_m
-        Stiffness of the spring for forces at the tool, before scaling to the device [N/m].
+        Stiffness of the spring, as force on the tool (not on the device) divided by distance [N/m].
     tip_m
         Start position of the tip [m], shape (3,).
     turn
@@ -150,10 +150,10 @@ class HeldTool(ABC):
         ``response`` is the response of the tissue in the last tick.
         """
 
-    def lands(self, response: Response) -> bool:
+    def has_entered(self, response: Response) -> bool:
         """Return True if the response at the new position requires another step in this tick.
 
-        This is the case if a free tool has entered the tissue.
+        This is the case if the tool has entered the tissue from free space.
         """
         return False
 
@@ -168,12 +168,12 @@ class HeldTool(ABC):
 class PressingTool(HeldTool):
     """Tool on a tissue that pushes back, such as an organ or a wall.
 
-    At the tip, the forces of spring and tissue balance: k (x_device - x) + F(x) = 0. In each tick,
-    one Newton step is computed with the force F and the tissue stiffness K of the last tick: x' = x
-    + (k + K)^-1 (k (x_device - x) + F). For a tissue without a known K, an isotropic stiffness is
-    estimated from the change of force along the last motions of the tip. An increase of the
-    estimate is used at once, and a decrease gradually. If the balance requires a tissue that pulls,
-    the tip moves to the device, as without contact.
+    At the tip, the forces of spring and tissue are in balance: k (x_device - x) + F(x) = 0. In each
+    tick, one Newton step is computed with the force F and the tissue stiffness K of the last tick:
+    x' = x + (k + K)^-1 (k (x_device - x) + F). For a tissue without a known K, an isotropic
+    stiffness is estimated from the change of force along the last motions of the tip. An increase
+    of the estimate is used at once, and a decrease gradually. If forces balance only when the
+    tissue pulls the tool, there is no contact, and the tip moves to the device.
     """
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
@@ -216,8 +216,8 @@ class PressingTool(HeldTool):
             tip[:] = device_m
         return tip
 
-    def lands(self, response: Response) -> bool:
-        """Return True if a free tool has entered the tissue."""
+    def has_entered(self, response: Response) -> bool:
+        """Return True if the tool has entered the tissue from free space."""
         return self._free and any(response.wrench[:3].tolist())
 
     def _learn(self, force_N: Array) -> None:

@@ -27,9 +27,9 @@ tool's own size.
 class ProbingTool(HeldTool):
     """Tool of any shape in contact with rigid bone; as a god-object, it never penetrates the bone.
 
-    The contact forces at points of the tool's surface balance the coupling springs; see
-    :class:`tissue.haptics.proxy.proxy.Proxy`. The tool uses the voxels of the bone without copying
-    them, so another tool may carve the bone.
+    The contact forces at points of the tool's surface are in balance with the forces of the
+    coupling springs; see :class:`tissue.haptics.proxy.proxy.Proxy`. The tool uses the voxels of the
+    bone without copying them, so another tool may carve the bone.
     """
 
     def __init__(self, stiffness_N_m: float, tip_m: Array, turn: HeldTurn | None = None) -> None:
@@ -40,7 +40,7 @@ class ProbingTool(HeldTool):
         )
         self.proxy: Proxy | None = None
 
-    def meet(self, shell: ToolShell, field: ContactField) -> Proxy:
+    def create_proxy(self, shell: ToolShell, field: ContactField) -> Proxy:
         """Set the objects that the tool may touch, and place the tool at its first pose.
 
         At this pose, the axes of the shell are parallel to the axes of the world.
@@ -63,7 +63,7 @@ class ProbingTool(HeldTool):
         step_s: float,
     ) -> Array:
         """Move as close to the device as the contacts allow, and return the tip position."""
-        assert self.proxy is not None, "a probing tool must meet something first"
+        assert self.proxy is not None, "a probing tool has no proxy yet"
         result = self.proxy.advance(device_m, np.array(device))
         self.tip_m[:] = result.position_m
         x, y, z, w = result.quaternion.tolist()
@@ -127,7 +127,7 @@ class ProbedBone(FreeSpace):
         turn = motion.rotation.T
         shell = ToolShell(self._shell.points_m @ turn, self._shell.normals @ turn)
         try:
-            self._tool.meet(shell, self._field)
+            self._tool.create_proxy(shell, self._field)
         except InputError as error:
             raise InputError(
                 "motion",

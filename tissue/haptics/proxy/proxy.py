@@ -317,7 +317,11 @@ class Proxy:
         self._state.push()
         self._report.host[:] = 0.0
         self._report.push()
-        for array in (self._contacts.press, self._contacts.wake, self._contacts.plane_normal):
+        for array in (
+            self._contacts.normal_force,
+            self._contacts.check_travel,
+            self._contacts.plane_normal,
+        ):
             array.zero_()
         self._run()
         if self.result.contacts > 0:
@@ -371,7 +375,7 @@ def _contacts(points: int, field: ContactField, *, device: str) -> Contacts:
     slots = field.box_count + (VOXEL_PLANES if field.spacing_m > 0.0 else 0)
     struct: Any = Contacts
     shapes: dict[str, Any] = {
-        "wake": points,
+        "check_travel": points,
         "plane_normal": (points, VOXEL_PLANES),
         "plane_offset": (points, VOXEL_PLANES),
         "member": MEMBERS,

@@ -53,7 +53,8 @@ class FoundDevice:
     name
         Value of a scene's key ``device``.
     where
-        Address, serial number, or path of the library; empty without a device.
+        Address or serial number of the device, or path of the vendor's library; empty if no device
+        was found.
     detail
         Model and firmware, as reported by the device.
     limits
@@ -71,7 +72,7 @@ class FoundDevice:
 
 
 class HardwareAdapter(ABC):
-    """Base class of adapters of real devices, with poses in the frame of the device.
+    """Base class of adapters for real devices; poses are in the frame of the device.
 
     `MappedDevice` makes a `Device` from an adapter. An adapter is a context manager: entering it
     opens the device, and leaving it removes all force and closes the device. The method ``close``
@@ -163,8 +164,8 @@ class RecordedAdapter(HardwareAdapter):
 
     After the last pose, the force fades to zero. The tool of a run starts at the first recorded
     position. With this device, the poses move the device, and the coupling moves the tool.
-    Coupling, prediction and force are computed as for a hand with the recorded motion. In contrast,
-    ``motion.kind = "replay"`` moves the tool itself.
+    Coupling, prediction and force are computed as if a hand moved the device along the recorded
+    poses. In contrast, ``motion.kind = "replay"`` moves the tool itself.
 
     Parameters
     ----------
@@ -272,7 +273,7 @@ def checked_url(
 
 
 def adapter_class(name: str) -> type[HardwareAdapter]:
-    """Return the adapter class of a device, which is called with the `Hardware` of a scene."""
+    """Return the adapter class of a device; the class is called with a scene's `Hardware`."""
     module, attribute = ADAPTERS[name]
     found: type[HardwareAdapter] = getattr(
         import_module(f"tissue.haptics.real.{module}"), attribute

@@ -80,11 +80,11 @@ START_IT = (
 
 
 class HaplyAdapter(HardwareAdapter):
-    """Adapter of an Inverse3, with the axes x to the right, y forward and z up.
+    """Adapter of an Inverse3; its x axis points to the right, y forward and z up.
 
     The methods `poll` and `push` never wait, because they only exchange numbers with the thread of
-    a `_Session`. Torque is ignored. At every end of the exchange, the last force sent to the
-    service is zero.
+    a `_Session`. Torque is ignored. However the exchange ends, the last force sent to the service
+    is zero.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ class HaplyAdapter(HardwareAdapter):
         return sample
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Set the force that is sent every millisecond, until `HOLD_S` after the last call."""
+        """Set the force to send every millisecond, for at most `HOLD_S` after the last call."""
         x, y, z = force_N.tolist()
         self._session.play((x, y, z))
 

@@ -162,7 +162,7 @@ def spelling_of(version: tuple[int, int] | None, *, has_session: bool) -> str:
 
 
 def version_in(text: str | bytes) -> tuple[int, int] | None:
-    """Return the major and minor version in an answer to ``/version``; None without a version."""
+    """Return major and minor version in an answer to ``/version``, or None if it has none."""
     try:
         answer = read_json(text)
     except ValueError:
@@ -240,7 +240,7 @@ def problem_of(state: ServiceState) -> str:
 
 
 def asked_version(host: str, port: int) -> tuple[int, int] | None:
-    """Request the service's version by HTTP on the same port; None without a timely answer."""
+    """Request the service's version by HTTP; return None if no answer arrives in time."""
     found: list[tuple[int, int]] = []
 
     def ask() -> None:

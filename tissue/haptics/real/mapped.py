@@ -29,10 +29,10 @@ class Workspace:
     """Mapping of device poses to poses in the scene, and of forces to the axes of the device.
 
     A position x of the device is mapped to ``R x + d`` in the scene. The rotation R is constant,
-    and d is chosen so that the first pose is at the start of the tool. While the clutch button is
-    held, the pose in the scene does not change. When the button is released, d and the reference
-    orientation are updated, so that the pose does not jump. Because R is a rotation, the power
-    (force times velocity) is equal in both frames.
+    and d is chosen so that the first pose is at the start position of the tool. While the clutch
+    button is held, the pose in the scene does not change. When the button is released, d and the
+    reference orientation are updated, so that the pose does not jump. Because R is a rotation, the
+    power (force times velocity) is equal in both frames.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class Workspace:
         self.forget()
 
     def forget(self) -> None:
-        """Map the next pose to the start of the tool, like the first pose."""
+        """Map the next pose to the start position of the tool, as the first pose was mapped."""
         self.is_placed = False
         self._clutched = False
         self._shift: Triple = NOTHING
@@ -79,7 +79,7 @@ class Workspace:
         )
 
     def at_device(self, vector: Array) -> Array:
-        """Convert a vector from the world's axes to the device's axes, shape (3,)."""
+        """Convert a vector, shape (3,), from the world's axes to the device's axes."""
         return vector @ self._matrix
 
     def pose(
@@ -128,10 +128,10 @@ Without a limit, an unstable connection could fill the memory.
 class MappedDevice:
     """Real device in the frame of the scene, with safety functions.
 
-    The first sample is mapped to the start of the tool. The scale ``coupling.motion_scale`` is not
-    applied here, because the run applies it. Without a new sample, the last sample is repeated
-    until the watchdog time has passed. After this time, `read` returns None, and the force is set
-    to zero at once.
+    The first sample is mapped to the start position of the tool. The scale
+    ``coupling.motion_scale`` is not applied here, because the run applies it. Without a new sample,
+    the last sample is repeated until the watchdog time has passed. After this time, `read` returns
+    None, and the force is set to zero at once.
 
     The force on the hand is the commanded force, limited to a largest magnitude and multiplied by a
     factor, `share`. During a ramp, the factor increases linearly from 0 to 1. A ramp begins at the

@@ -381,7 +381,7 @@ class NetworkAdapter(HardwareAdapter):
             self._transport.send(*sending)
 
     def push(self, force_N: Array, torque_Nm: Array) -> None:
-        """Send a force and a torque, which are applied until the next packet or for 50 ms."""
+        """Send a force and a torque, applied until the next packet but for at most 50 ms."""
         transport = self._transport
         sending = self.session.wrench((*force_N.tolist(), *torque_Nm.tolist()))
         # after a close, the packet would have an old number

@@ -139,7 +139,7 @@ SILENCE_S = 0.5
 A device sends at least five packets per second. After this time, at least two packets in a row are
 missing.
 """
-KEPT = 1024
+STORED_SEND_TIMES = 1024
 """Number of wrenches whose send time is stored, to measure round trips.
 
 At 1 kHz, the wrenches of about one second are stored.
@@ -192,12 +192,12 @@ class NetworkSession:
         self._seen = 0  # newest sequence number of the device
         self._sent = 0
         self._shown = 0  # newest of our packets that the device has confirmed
-        self._sent_at = [nan] * KEPT
+        self._sent_at = [nan] * STORED_SEND_TIMES
         # sequence number and time of the hello that was accepted
         self._greeting = (0, nan)
 
     def receive(self, data: bytes, sender: Hashable) -> bytes | None:
-        """Process a packet, and return the reply to the sender; None without a reply."""
+        """Process a packet, and return the reply to the sender, or None if there is no reply."""
         with self._lock:
             try:
                 return self._receive(unpacked(data), sender)
@@ -214,7 +214,7 @@ class NetworkSession:
             return newest
 
     def wrench(self, wrench: Wrench) -> tuple[Hashable, bytes] | None:
-        """Return the receiver of a wrench and the packet to send; None without a device."""
+        """Return the receiver and packet of a wrench to send, or None if no device is connected."""
         with self._lock:
             self._forget_silent()
             if self.peer is None:
@@ -222,12 +222,12 @@ class NetworkSession:
             return self.peer, self._packet(Kind.WRENCH, WRENCH.pack(*wrench))
 
     def bye(self) -> tuple[Hashable, bytes] | None:
-        """End the session: return the receiver and the last packet; None without a device."""
+        """End the session; return receiver and last packet, or None if no device is connected."""
         with self._lock:
             return self._ended_with(self._packet(Kind.BYE))
 
     def refused(self, sentence: str) -> tuple[Hashable, bytes] | None:
-        """End the session: return the receiver and a refusal; None without a device."""
+        """End the session; return receiver and refusal, or None if no device is connected."""
         with self._lock:
             # A character that is truncated within its bytes is dropped.
             payload = sentence.encode()[:MOST_WORDS].decode(errors="ignore").encode()
@@ -285,15 +285,15 @@ class NetworkSession:
         now = self._clock()
         self._sent = (self._sent + 1) % WHOLE
         # Only wrenches are measured, because a device may confirm other packets later.
-        self._sent_at[self._sent % KEPT] = now if kind is Kind.WRENCH else nan
+        self._sent_at[self._sent % STORED_SEND_TIMES] = now if kind is Kind.WRENCH else nan
         return packed(kind, self._sent, echo=self._seen, time_s=now, payload=payload)
 
     def _measure(self, echo: int) -> None:
         """Record the round trip time if a packet is the first to confirm a wrench."""
         # Send times of older packets have been overwritten.
-        if is_newer(echo, self._shown) and 0 <= (self._sent - echo) % WHOLE < KEPT:
+        if is_newer(echo, self._shown) and 0 <= (self._sent - echo) % WHOLE < STORED_SEND_TIMES:
             self._shown = echo
-            if not isnan(sent := self._sent_at[echo % KEPT]):
+            if not isnan(sent := self._sent_at[echo % STORED_SEND_TIMES]):
                 self.round_trip_s = self._clock() - sent
 
     def _ended_with(self, data: bytes) -> tuple[Hashable, bytes] | None:

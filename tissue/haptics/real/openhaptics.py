@@ -125,7 +125,7 @@ class OpenHapticsAdapter(HardwareAdapter):
             scheduling.hdAsyncSheduler(self._callback)
 
     def poll(self) -> HardwareSample | None:
-        """Return the newest pose of the vendor's thread; None if it has not changed."""
+        """Return the newest pose that the vendor's thread has read; None if it is unchanged."""
         if self._problem:
             raise DeviceError(self._problem)
         sample = self._sample

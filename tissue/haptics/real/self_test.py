@@ -168,8 +168,8 @@ def bump(
 ) -> Bump:
     """Push the hand along the device's z axis, with a force that follows half a sine.
 
-    The largest force is `BUMP_N`, and the duration is `BUMP_S`. At every end of the push, also
-    after an error, the last force is zero.
+    The largest force is `BUMP_N`, and the duration is `BUMP_S`. However the push ends, even by an
+    error, the last force is zero.
 
     Raises
     ------

@@ -23,7 +23,7 @@ Each of the arrays `remaining`, `swept`, `middle`, `older` and `nearby` takes 2 
 """
 NEVER_SWEPT = 65535
 """Stored value of `swept`, `middle` and `older` for a voxel that the tool has never reached."""
-STEPS = FULL // 255
+STORED_RATIO = FULL // 255
 """Value of a full voxel in the store (65535) divided by its value in a voxel volume (255)."""
 CHANGED = ("remaining", "swept", "middle", "older", "alive")
 """Names of the arrays of `BrickStore` that carving reads and changes."""
@@ -31,14 +31,16 @@ CHANGED = ("remaining", "swept", "middle", "older", "alive")
 
 @dataclass(frozen=True, eq=False)
 class BrickGrid:
-    """Lattice of bricks (blocks of voxels) that covers a bone; a lattice position may be empty.
+    """Lattice of bricks (blocks of voxels) that covers a bone.
+
+    A lattice position may be empty.
 
     Attributes
     ----------
     origin_m
         Corner of the first brick [m], shape (3,): the corner with the lowest coordinates.
     spacing_m
-        Edge of a voxel [m].
+        Edge length of a voxel [m].
     counts
         Number of bricks along x, y and z.
     layer_names
@@ -51,7 +53,7 @@ class BrickGrid:
     layer_names: tuple[str, ...]
 
     def agrees(self, other: "BrickGrid") -> bool:
-        """Return True if equal brick positions on both lattices refer to equal points in space."""
+        """Return True if each brick position refers to the same point in space on both lattices."""
         return (
             self.spacing_m == other.spacing_m
             and self.counts == other.counts
@@ -99,28 +101,28 @@ class BrickStore:
     grid
         Lattice of the bricks.
     volume
-        Volume from which the store was made, with the filled fractions before any cut. None if the
-        store was filled by `add`.
+        Volume from which the store was made. Its filled fractions are those before any cut. None if
+        the store was filled by `add`.
     start_steps
-        Sum of `remaining` over the voxels of each layer before any cut, shape (layers,).
+        Sum of `remaining` over each layer's voxels before any cut, shape (layers,).
     brick_of
         Brick row at each grid position, int32, shape (bx, by, bz), -1 where empty.
     remaining
-        Filled fraction of each voxel, uint16, 65535 = full, shape (capacity, 512).
+        Filled fraction of each voxel as uint16 (65535 is full), shape (capacity, 512).
     swept
-        Distance of each voxel's centre to the solid that the tool has swept, uint16, shape
+        Distance from each voxel's centre to the region that the tool has swept, uint16, shape
         (capacity, 512).
     middle
-        Copy of `swept` from the last update of `older`, uint16, shape (capacity, 512). Each block
-        of 2 x 2 x 2 voxels is updated separately, see `kernels.carving`.
+        Copy of `swept`, made at the last update of `older`, uint16, shape (capacity, 512). Each
+        block of 2 x 2 x 2 voxels is updated separately, see `kernels.carving`.
     older
-        Distance of each voxel's centre to the solid that older cuts have swept, uint16, shape
-        (capacity, 512). Older cuts are all cuts except the most recent cuts.
+        Distance from each voxel's centre to the region swept by older cuts, uint16, shape
+        (capacity, 512). Older cuts are all cuts except the most recent cuts, see `kernels.carving`.
     material
         Density and layer before any cut, packed in one word, uint32, shape (capacity, 512).
     nearby
-        Distances to the original surface and to the nearest change of layer, packed in one word,
-        uint16, shape (capacity, 512).
+        Distances of each voxel to the original surface and to the nearest boundary between layers,
+        packed in one word, uint16, shape (capacity, 512).
     alive
         Array with a bit for each block of 2 x 2 x 2 voxels, uint64, shape (capacity,). A bit is 1
         if the block may hold bone or lies within two voxels of bone.
@@ -169,8 +171,8 @@ class BrickStore:
         at
             Position of the volume's first brick on the grid.
         margin
-            Number of outer layers of bricks, at each face of the volume, that are not stored. The
-            outer layers only show how the bone continues beyond the stored bricks.
+            Number of outer brick layers at each face of the volume that are not stored. These
+            layers only provide the bone beyond the stored bricks.
 
         Returns
         -------
@@ -209,7 +211,7 @@ class BrickStore:
         nearby = stored(boundary).astype(np.uint16) << np.uint16(8) | stored_surface
         alive = np.packbits(blocks, axis=1, bitorder="little").view("<u8").reshape(-1)
         never = np.full(fraction.shape, NEVER_SWEPT, dtype=np.uint16)
-        filled = fraction.astype(np.uint16) * np.uint16(STEPS)
+        filled = fraction.astype(np.uint16) * np.uint16(STORED_RATIO)
         rows = {
             "remaining": filled,
             "swept": never,
@@ -260,7 +262,7 @@ class BrickStore:
         return filled(Bricks, self._device, **arrays)
 
     def take_touched(self) -> tuple[Ints, NDArray[np.uint16]]:
-        """Return row numbers and fractions of the bricks that lost material since the last call.
+        """Return row numbers and voxel fractions of bricks that lost material since the last call.
 
         The cost is proportional to the number of these bricks, which is small in one tick.
         """
@@ -301,7 +303,7 @@ class BrickStore:
             )
 
     def keep_base(self) -> None:
-        """Store a copy of the present bricks as the base of later states.
+        """Store a copy of the present bricks as the base to which later states refer.
 
         A state stores only the bricks that a tool has reached since the base was stored.
         """
@@ -369,7 +371,7 @@ class BrickStore:
         self._send("touched", flags)
 
     def write_fraction(self, fraction: Bytes, rows: Ints) -> None:
-        """Write the remaining fractions of some bricks into `fraction`, 255 = full.
+        """Write the remaining fractions of the voxels in some bricks into `fraction` (255 is full).
 
         `fraction` has the shape of the volume. `rows` holds the row numbers of the bricks.
         """
@@ -379,7 +381,7 @@ class BrickStore:
             part[:] = brick[: part.shape[0], : part.shape[1], : part.shape[2]]
 
     def fraction(self) -> Bytes:
-        """Return the remaining fraction of every voxel of the grid, 255 = full.
+        """Return the remaining fraction of every voxel of the grid (255 is full).
 
         If the store was made from a volume, the array has the shape of the volume.
         """
@@ -389,14 +391,15 @@ class BrickStore:
         return np.ascontiguousarray(whole[tuple(map(slice, self.volume.shape))])
 
     def part(self, first: tuple[int, ...], last: tuple[int, ...]) -> Bytes:
-        """Return the remaining fraction of every voxel in a box of bricks, 255 = full.
+        """Return the remaining fraction of every voxel in a box of bricks (255 is full).
 
         The fraction is 0 where no brick is stored.
 
         Parameters
         ----------
         first, last
-            Grid position of the first brick of the box, and the position one after the last brick.
+            Grid position of the box's first brick, and grid position one beyond its last brick
+            along each axis.
         """
         brick_of = self.brick_of.numpy()[tuple(map(slice, first, last))]
         nx, ny, nz = (BRICK * n for n in brick_of.shape)
@@ -417,7 +420,7 @@ class BrickStore:
 
 
 def voxels_of(places: Ints, rows: Ints, steps: Ints) -> tuple[Ints, Ints]:
-    """Return the indices and values of the voxels whose values are not 0.
+    """Return the grid indices and the values of the voxels whose values are not 0.
 
     ``steps`` holds the values of the voxels in some bricks, shape (bricks, 512). ``rows`` holds the
     row numbers of these bricks in the store. ``places`` holds the grid positions of all bricks of
@@ -434,9 +437,9 @@ def voxels_of(places: Ints, rows: Ints, steps: Ints) -> tuple[Ints, Ints]:
 
 def _nearest(remaining: NDArray[np.uint16]) -> Bytes:
     """Convert stored 16-bit fractions to 8-bit fractions, with rounding."""
-    return ((remaining.astype(np.uint32) + np.uint32(STEPS // 2)) // np.uint32(STEPS)).astype(
-        np.uint8
-    )
+    return (
+        (remaining.astype(np.uint32) + np.uint32(STORED_RATIO // 2)) // np.uint32(STORED_RATIO)
+    ).astype(np.uint8)
 
 
 def _filled_up(surface: Bytes, counts: tuple[int, ...]) -> Bytes:

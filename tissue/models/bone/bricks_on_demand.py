@@ -18,7 +18,11 @@ from tissue.models.bone.bricks import BYTES_PER_VOXEL, BrickGrid, BrickStore
 Boxes = tuple[Array, Array]
 """Lowest corners and highest corners of boxes [m], each of shape (n, 3)."""
 PATCH = 4
-"""Number of bricks along each edge of a patch, the smallest block that is made; chosen."""
+"""Number of bricks along each edge of a patch, the smallest block that is made; chosen.
+
+A larger patch contains more bone that the tool does not reach. A smaller patch needs more work per
+stored brick, because its margin is voxelised too: 6 x 6 x 6 bricks for 4 x 4 x 4 stored bricks.
+"""
 MARGIN = 1
 """Number of layers of bricks around a patch that are voxelised but not stored.
 
@@ -35,14 +39,14 @@ MOST_BRICKS = 2.5e8
 
 
 class BricksOnDemand:
-    """Bricks of an anatomy, made patch by patch when a tool first reaches them.
+    """Bricks of an anatomy that are made patch by patch when a tool first reaches them.
 
     Parameters
     ----------
     anatomy
         The bone.
     spacing_m
-        Edge of a voxel [m].
+        Edge length of a voxel [m].
 
     Attributes
     ----------
@@ -129,7 +133,7 @@ class BricksOnDemand:
         return bool(self._made[low[0] : high[0], low[1] : high[1], low[2] : high[2]].all())
 
     def cut_parts(self) -> Iterator[tuple[VoxelVolume, Bytes]]:
-        """Yield the voxels before any cut and the remaining fractions of each part that was cut.
+        """Yield voxels before any cut and their remaining fractions for each part that was cut.
 
         A fraction of 255 means a full voxel. The parts are boxes. Neighbouring boxes share one
         layer of voxels, so an isosurface has no gap between them.

@@ -73,7 +73,8 @@ stored in `RecentPoses` must cover a longer motion than this value.
 TURN = 0.9
 """Cosine of the smallest angle that counts as a change of direction (26 degrees); chosen.
 
-After such a change, the tool may return to places where it has already cut.
+After such a change, the tool may return to places where it has already cut. The most recent cuts
+therefore become older cuts. With a larger value, they do so after smaller changes of direction.
 """
 WORKERS_CPU = 32
 WORKERS_GPU = 2048
@@ -94,20 +95,21 @@ class Carver:
     cutter
         The tool.
     removal
-        ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` removes whole voxels by
-        their centres.
+        ``subvoxel`` removes the part of a voxel that is inside the tool. ``binary`` removes each
+        voxel whose centre is inside the tool.
     device
         Warp device name.
     cores
         Number of processor cores that share large kernel launches; default: all cores. The result
-        is equal for any number of cores.
+        does not depend on the number of cores.
 
     Attributes
     ----------
     tool
         The cutter's distance table on the device.
     removed_steps
-        Decrease of the sum of `BrickStore.remaining` in each layer so far, shape (layers,).
+        Amount by which the sum of `BrickStore.remaining` in each layer has decreased so far, shape
+        (layers,).
     changes
         Counter that increases when bricks are carved or a state is restored. While the counter is
         constant, the bone does not change.
@@ -164,7 +166,7 @@ class Carver:
         self.record()
 
     def record(self) -> None:
-        """Record the carving kernel for the present device arrays of the store."""
+        """Record the launch of the carving kernel with the store's present device arrays."""
         self._carve = SplitLaunch(
             carve,
             self._workers,
@@ -297,7 +299,9 @@ def _revolution(table: DistanceTable, profile: Profile, *, device: str) -> Revol
 
 
 class CarvingReplay:
-    """Bone at the end of any tick of a finished run, carved again at the poses of the run.
+    """Bone at the end of any tick of a finished run, computed by carving again.
+
+    The bone is carved at the poses of the run.
 
     Parameters
     ----------
@@ -314,7 +318,7 @@ class CarvingReplay:
     Attributes
     ----------
     fraction
-        Remaining fraction of every voxel at the tick of the last call of `at`, 255 = full, uint8,
+        Remaining fraction of every voxel (255 is full) at the tick of the last call of `at`, uint8,
         shape (nx, ny, nz). Every call of `at` overwrites the array.
     """
 
@@ -364,12 +368,12 @@ class CarvingReplay:
         return self.fraction
 
     def removals(self) -> tuple[Ints, Ints]:
-        """Return the voxels that become less than half full in the run, and the ticks when they do.
+        """Return the voxels that become less than half full in the run, and the tick of each.
 
         The indices of the voxels have shape (n, 3). The ticks have shape (n,) and increase. Voxels
         that were less than half full before the first cut are not included. Carving may lag behind
-        a slow tool. A removal may therefore be recorded late, after up to 20 µm of further tool
-        motion.
+        a slow tool. A removal may therefore be recorded late: the tool may have moved on by up to
+        20 µm.
         """
         self._carver.restore(self._start)
         self._store.take_touched()

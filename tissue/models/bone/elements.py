@@ -54,10 +54,10 @@ def _in_lanes(rows: Array) -> Array:
 
 
 def levers_of(shell: PointShell, cutter: Cutter) -> Array:
-    """Return directions and moments of the three loads on each cutting element, shape (n, 18).
+    """Return direction and moment of the three loads on each cutting element, shape (n, 18).
 
-    The loads are tangential, radial and axial. Each direction is multiplied by its load factor, see
-    `Cutter.load_factors`, and is followed by its moment about the tip [m].
+    The loads are tangential, radial and axial. Each direction is multiplied by its load factor
+    (`Cutter.load_factors`), and is followed by the moment of this product about the tip [m].
     """
     around = np.column_stack(
         [-shell.points_m[:, 1], shell.points_m[:, 0], np.zeros(len(shell.radii_m))]
@@ -76,7 +76,8 @@ def levers_of(shell: PointShell, cutter: Cutter) -> Array:
 def edge_lengths_m(shell: PointShell, cutter: Cutter) -> Array:
     """Return the mean length of cutting edge in each cutting element [m], shape (n,).
 
-    The length is N A / (2 pi r), with N flutes, the element's area A and its radius r.
+    The length is N A / (2 pi r), with N flutes, and the element's area A and distance r from the
+    axis.
     """
     return cutter.flute_count * shell.areas_m2 / (2.0 * np.pi * shell.radii_m)
 
@@ -111,7 +112,7 @@ pressed with half of its full edge force therefore moves at half of this speed.
 
 
 class CuttingForces:
-    """Cutting forces on the elements of a tool in bone.
+    """Cutting forces that bone exerts on the elements of a tool.
 
     `find_bone` searches for bone in front of the elements, once for each pose. `sums` then computes
     the forces for any velocity.
@@ -121,26 +122,28 @@ class CuttingForces:
     store, tool
         Voxels of the bone, and the tool's distance table on the device.
     elements, coefficients
-        Cutting elements of the tool, and cutting coefficients, on the device.
+        The tool's cutting elements and the cutting coefficients, with arrays on the device.
     pose, recent
         Present pose and most recent poses of the tool, in the layout that
         `kernels.engagement.find_bone` reads.
     motion
         Velocities of the tool, in the layout that `kernels.cutting.cutting_forces` reads.
     chip_per_speed_s
-        Chip thickness divided by the feed speed along the normal [s].
+        Chip thickness divided by the feed velocity's component along the surface normal [s].
     cores
         Number of processor cores that share large kernel launches; default: all cores.
 
     Attributes
     ----------
     found
-        Bone in front of the cutting elements, shape (groups, FOUND, LANES). A group has LANES
-        elements; `kernels.engagement.FOUND` is the number of values of an element.
+        Values that describe the bone in front of the cutting elements, shape (groups, FOUND,
+        LANES). A group has LANES elements; `kernels.engagement.FOUND` is the number of values of an
+        element.
     find_bone
         Recorded kernel launch that searches for bone in front of the elements.
     slopes
-        Index of the first derivative in the array that `sums` returns, see `kernels.cutting.VALUE`.
+        Index at which the derivatives begin in the array that `sums` returns, see
+        `kernels.cutting.VALUE`.
     """
 
     def __init__(
@@ -203,9 +206,10 @@ class CuttingForces:
         )
 
     def sums(self) -> Array:
-        """Return forces and derivatives, summed over all elements, at the present velocities.
+        """Return the forces and their derivatives, summed over all elements.
 
-        The order of the values is given at `kernels.cutting.VALUE`.
+        The derivatives are with respect to the velocity, and all values hold for the present
+        velocities. The order of the values is given at `kernels.cutting.VALUE`.
         """
         self._engaged.pull()
         engaged = self._engaged.host

@@ -49,16 +49,16 @@ MOST_NODES = 64
 
 @dataclass(frozen=True, eq=False)
 class DensityNodes:
-    """Nodes of density in one layer.
+    """Interpolation nodes over the density range of one layer.
 
     Attributes
     ----------
     densities_kg_m3
         Densities of the nodes [kg/m3], shape (k,).
     shares
-        Weights that distribute an element to the nodes, shape (DENSITIES, k). The row is the
-        density rho of the element [kg/m3]. The weight of node j is (rho / `middle_kg_m3`) ** c
-        L_j(ln rho), see the module.
+        Weights with which an element contributes to each node, shape (DENSITIES, k). The row index
+        is the element's density rho [kg/m3]. The weight of node j is (rho / `middle_kg_m3`) ** c
+        times the polynomial L_j(ln rho); the module defines c and L_j.
     """
 
     densities_kg_m3: Array
@@ -89,7 +89,7 @@ class DensityNodes:
         return float(np.exp(np.log(self.densities_kg_m3).mean()))
 
     def strengths(self, exponent: float, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
-        """Return the weights of the nodes for a density exponent, shape (k,).
+        """Return the weights of the nodes that represent a density exponent, shape (k,).
 
         For each density, `shares` @ weights is (factor * density / reference) ** exponent.
         """
@@ -99,7 +99,8 @@ class DensityNodes:
     def logarithms(self, *, reference_kg_m3: float, factor: float = 1.0) -> Array:
         """Return ln(factor * density / reference) at the nodes, shape (k,).
 
-        This logarithm is a factor of the derivative of the strength with respect to the exponent.
+        The derivative of the strength with respect to the exponent contains this logarithm as a
+        factor.
         """
         return np.log(factor * self.densities_kg_m3 / reference_kg_m3)
 
@@ -116,8 +117,8 @@ def _count(a: float) -> int:
 def densities_of(material: NDArray[np.uint32], layer: int) -> Ints:
     """Return the smallest and largest density in a layer of stored voxels [kg/m3].
 
-    `material` holds the words of the voxels, see `BrickStore.material`. Both densities are zero if
-    no voxel of the layer has a density.
+    `material` holds one packed word for each voxel, see `BrickStore.material`. Both densities are
+    zero if no voxel of the layer has a density.
     """
     density = (material[(material & 255) == layer] >> 16).astype(np.int64)
     density = density[density > 0]
@@ -144,7 +145,7 @@ LINEAR_CHIPS_M = np.array([0.0, THICKEST_M])
 
 
 def chip_nodes(thickest_m: float) -> Array:
-    """Return the nodes of chip thickness [m] up to the thickest chip, shape (k,)."""
+    """Return interpolation nodes for chip thicknesses [m] up to the thickest chip, shape (k,)."""
     count = int(np.ceil(np.log(1.0 / THINNEST) / np.log(CHIP_RATIO))) + 1
     return np.concatenate([[0.0], thickest_m * np.geomspace(THINNEST, 1.0, count)])
 
@@ -165,7 +166,7 @@ def _interpolation(nodes_m: Array, thickness_m: Array, lengths: Array) -> csr_ar
 
 
 class EngagedElements:
-    """Cutting elements that are in contact with bone, and the bone in front of these elements.
+    """Search for cutting elements in contact with bone, and for the bone in front of them.
 
     Parameters
     ----------
@@ -179,7 +180,7 @@ class EngagedElements:
         """Length of cutting edge in each element [m], shape (n,)."""
 
     def find(self, motion: ToolMotion) -> tuple[Array, ...]:
-        """Return the engaged share, advance per unit speed, layer and density of each element.
+        """Return engaged share, advance divided by speed, layer and density of each element.
 
         Each array has a value for every element. The engaged share is the fraction of an element
         that lies in bone. The advance is the motion along the element's outward normal.
@@ -195,10 +196,10 @@ class EngagedElements:
         return share, advance.sum(axis=1), found[LAYER].astype(int), found[DENSITY].astype(int)
 
     def cutting(self, motion: ToolMotion) -> tuple[Array, Array, Array]:
-        """Return the points where the cutter cuts, with outward normals and relative powers.
+        """Return points where the cutter cuts, their outward normals and relative cutting powers.
 
-        Points [m] are in the world frame. The power of an element is its tangential force times its
-        speed. The speed is the spin times the radius of the element.
+        Points [m] are in the world frame. The relative power of an element is its tangential force
+        times its distance from the axis. The spin is left out, because it is a common factor.
         """
         share, advance, layer, density = self.find(motion)
         met = np.flatnonzero(share)
@@ -244,19 +245,19 @@ class EngagedBone(MilledTissue):
     bone
         The bone model that removes bone. The cutting coefficients of this model are not used.
     chips_m
-        Nodes of chip thickness [m], shape (k,), see `chip_nodes`.
+        Interpolation nodes of the chip thickness [m], shape (k,), see `chip_nodes`.
 
     Attributes
     ----------
     nodes
-        Nodes of density of each layer, at which `unit_loads` are computed.
+        Density nodes of each layer. `unit_loads` are computed at these nodes.
     unit_loads
         Array of shape (nodes, 3 k, 6) for each layer, computed in the last call of `respond`. A row
         holds the force [N] and the torque about the tip [N m] on the tool, in the world frame.
-        There is a row for each density node, each node of chip thickness and each of the
+        There is a row for each combination of density node, chip-thickness node and direction in
         `DIRECTIONS`. `DensityNodes.strengths` returns the weights of the nodes for a density
         exponent.
-    asked
+    computes_loads
         True if `respond` computes `unit_loads`.
     """
 
@@ -264,7 +265,7 @@ class EngagedBone(MilledTissue):
         super().__init__(bone)
         self.chips_m = chips_m
         self.measure_names: tuple[str, ...] = ()
-        self.asked = True
+        self.computes_loads = True
         material = bone.store.material.numpy()
         self.nodes = [
             DensityNodes.of(*densities_of(material, layer))
@@ -281,12 +282,12 @@ class EngagedBone(MilledTissue):
         self._elements = EngagedElements(bone)
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Return the area of the tool in bone and the rate of removal; the force is zero.
+        """Return the tool area in bone and the removal rate, with a force of zero.
 
         `unit_loads` are computed at the motion's speed.
         """
         response = self._response
-        if not self.asked:
+        if not self.computes_loads:
             return response
         share, advance, layer, density = self._elements.find(motion)
         met = np.flatnonzero(share)
@@ -342,13 +343,13 @@ def plunge_unit_loads(cutter: Cutter, feeds_per_turn_m: Array) -> tuple[Array, A
     cutter
         The cutter.
     feeds_per_turn_m
-        Feed per turn of each plunge [m], shape (n,).
+        Feeds per turn for which the unit loads are computed [m], shape (n,).
 
     Returns
     -------
     tuple
-        Nodes of chip thickness [m], shape (k,), and unit loads at these nodes, shape (1, 3 k, n,
-        6), in the layout of `tissue.simulation.load_record.LayerLoads`. The relative density is 1.
+        Chip-thickness nodes [m], shape (k,), and unit loads at these nodes, shape (1, 3 k, n, 6),
+        in the layout of `tissue.simulation.load_record.LayerLoads`. The relative density is 1.
     """
     shell = cutter.shell(spacing_m=(cutter.cutting_area_m2 / PLUNGE_ELEMENTS) ** 0.5)
     advance = -shell.normals[:, 2]

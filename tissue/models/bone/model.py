@@ -43,15 +43,15 @@ class BoneModel:
     coefficients
         Cutting coefficients for each layer of the bone.
     removal
-        ``subvoxel`` removes the part of a voxel inside the tool; ``binary`` removes whole voxels by
-        their centres.
+        ``subvoxel`` removes the part of a voxel that is inside the tool. ``binary`` removes each
+        voxel whose centre is inside the tool.
     shell_spacing_m
         Distance between the cutting elements [m]; the default gives 6000 elements.
     device
         Warp device name.
     cores
         Number of processor cores that share large kernel launches; default: all cores. The result
-        is equal for any number of cores.
+        does not depend on the number of cores.
 
     Attributes
     ----------
@@ -185,34 +185,34 @@ class BoneModel:
         put_back(self._recent, state["recent"])
         put_back(self.limits, state["limits"])
 
-    def take(self, motion: ToolMotion) -> None:
-        """Send the pose of the tool to the device, and store its direction of motion."""
-        self._take_pose(motion.tip_m, motion.rotation)
+    def send_pose(self, motion: ToolMotion) -> None:
+        """Send the tool's pose to the device, and store the tool's direction of motion."""
+        self._write_pose(motion.tip_m, motion.rotation)
         np.dot(motion.heading, motion.rotation, out=self._velocities)
         self._pose.host[6] = 0.0, self._recent.turns, 0.0
         self._pose.push()
 
-    def _take_pose(self, tip_m: Array, rotation: Array) -> None:
+    def _write_pose(self, tip_m: Array, rotation: Array) -> None:
         """Write a pose to the host copy of `motion_rows`, without sending it to the device."""
         np.subtract(tip_m, self._origin, out=self._tip)
         self._tip /= self._spacing
         self._axes[:] = rotation.T
 
     def find_bone(self, tip_m: Array, rotation: Array, velocity: Array, step_s: float) -> None:
-        """Find the bone around the whole tool at a pose, for the next calls of `forces`.
+        """Find the bone around all elements of the tool at a pose, for later calls of `forces`.
 
         Parameters
         ----------
         tip_m, rotation
             Pose of the tool.
         velocity
-            Velocity of the tip [m/s] and angular velocity [rad/s] along the tool's axes, shape
-            (6,). A tool with this velocity reaches the pose in one step.
+            Velocity of the tip [m/s] and angular velocity [rad/s], with components along the tool's
+            axes, shape (6,). A tool with this velocity reaches the pose in one step.
         step_s
             Length of the step [s].
         """
         self._found = None
-        self._take_pose(tip_m, rotation)
+        self._write_pose(tip_m, rotation)
         self._velocities[:] = 0.0
         self._pose.host[6] = 1.0, self._recent.turns, CREEP_M_S * self.cutter.chip_per_speed_s
         self._pose.push()
@@ -225,25 +225,25 @@ class BoneModel:
             self._smooth.forces.find_bone()
 
     def forces(self, velocity: Array, *, unknowns: int) -> tuple[Array, Array]:
-        """Return force and torque on the tool, linearised at a velocity.
+        """Linearise the force and torque on the tool at a velocity.
 
         The components of all vectors are along the axes of the tool at the pose of `find_bone`.
 
         Parameters
         ----------
         velocity
-            Velocity of the tip [m/s] and angular velocity [rad/s] in the step of `find_bone`, shape
-            (6,).
+            Velocity of the tip [m/s] and angular velocity [rad/s] in the step given to `find_bone`,
+            shape (6,).
         unknowns
             Number of velocity components with respect to which the derivatives are taken, 3 or 6.
 
         Returns
         -------
         tuple
-            Force [N] and torque about the tip [N m] of the linearised law at zero velocity, shape
-            (6,), and their derivatives, shape (6, unknowns). The wrench at the given velocity is
-            the wrench at zero velocity plus the derivatives times the velocity. With 3 unknowns
-            only the force has derivatives. The returned torque is then the torque at the given
+            Force [N] and torque about the tip [N m] that the linearised law gives at zero velocity,
+            shape (6,), and their derivatives, shape (6, unknowns). The wrench at the given velocity
+            is the wrench at zero velocity plus the derivatives times the velocity. With 3 unknowns,
+            only the force is linearised. The returned torque is then the torque at the given
             velocity.
         """
         rows = self._motion.host
@@ -308,7 +308,7 @@ class BoneModel:
 
         Return True after a new search, or False if the last result is still valid.
         """
-        self.take(motion)
+        self.send_pose(motion)
         asked = self._pose.host.tobytes(), self.carver.changes
         is_new = asked != self._found
         if is_new:
@@ -318,7 +318,7 @@ class BoneModel:
         return is_new
 
     def found_along(self, motion: ToolMotion) -> Array:
-        """Return the bone in front of the elements that move outwards, shape (FOUND, elements).
+        """Return data on the bone ahead of outward-moving elements, shape (FOUND, elements).
 
         The rows are listed at `kernels.engagement.DISTANCE`. The number of elements is padded to a
         multiple of `LANES`.
@@ -340,7 +340,7 @@ class BoneModel:
 
 
 class MilledTissue:
-    """Base class of tissues that are carved by a bone model and that compute further results.
+    """Base class of tissues that a bone model carves, and that compute further results.
 
     Parameters
     ----------

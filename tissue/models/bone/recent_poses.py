@@ -28,19 +28,19 @@ KEPT_POSES = sum(count for count, _ in RINGS)
 class RecentPoses:
     """Most recent poses at which a tool has cut.
 
-    The bone that the tool has cut at these poses is known exactly, except for rounding errors.
+    The region that the tool cut at these poses is known exactly, except for rounding errors.
 
     Parameters
     ----------
     lever_m
-        Distance of the tool's far end from its tip [m].
+        Distance from the tip to the opposite end of the tool [m].
     device
         Warp device name.
 
     Attributes
     ----------
     mirror
-        Displacements and rotations of the stored poses relative to the pose in the last call of
+        Stored poses, as displacements and rotations relative to the pose of the last call of
         `seen_from`. The layout is defined by `kernels.engagement.find_bone`.
     turns
         True if the tool's axis has changed its direction since the last call of `place`.
@@ -69,8 +69,9 @@ class RecentPoses:
     def add(self, motion: ToolMotion) -> None:
         """Add a pose at which the tool has cut.
 
-        Each ring buffer stores the present pose as its last entry. Later poses overwrite this entry
-        until the tool has moved by the distance in `RINGS` from the previous entry.
+        Each ring buffer in `RINGS` stores the present pose as its last entry. Later poses overwrite
+        this entry until the distance from the previous entry reaches the distance of the buffer in
+        `RINGS`.
         """
         pose = self._pose_of(motion)
         for ring, (_, spaced_m) in zip(self._rings, RINGS, strict=True):
@@ -96,7 +97,7 @@ class RecentPoses:
         return pose
 
     def seen_from(self, tip_m: Array, rotation: Array) -> None:
-        """Write the stored poses relative to a given pose to `mirror`, present pose first."""
+        """Write stored poses relative to a given pose to the array `mirror`, present pose first."""
         rows = self.mirror.host.reshape(-1, 6)
         np.dot(self._poses[:, :3] - tip_m, rotation, out=self._moved)
         rows[1:, :3] = self._moved

@@ -37,7 +37,7 @@ class RegionEnd:
     cutter
         The tool.
     margin_mm
-        Value of ``voxels.margin_mm`` in the scene, for the text of the event.
+        Value of ``voxels.margin_mm`` in the scene, which the text of the event quotes.
     tissue
         The whole anatomy, in the frame of the region. If None, tissue at the border of the region
         is assumed to continue beyond the border.
@@ -47,7 +47,7 @@ class RegionEnd:
     Attributes
     ----------
     left_tick
-        Index of the tick in which the tool left the region; None before.
+        Index of the tick in which the tool left the region. None if it has not left.
     """
 
     def __init__(
@@ -85,18 +85,18 @@ class RegionEnd:
 
     @property
     def left_s(self) -> float | None:
-        """Time at which the tool left the region [s]; None before."""
+        """Time at which the tool left the region [s]; None if it has not left."""
         return None if self.left_tick is None else self.left_tick * TICK_S
 
     def sufficient_margin_mm(self, tips_m: Array, axes: Array) -> float:
-        """Return a value of ``voxels.margin_mm`` with which the region contains a motion.
+        """Return a value of ``voxels.margin_mm`` that makes the region large enough for a motion.
 
         The value is rounded up to 0.1 mm.
 
         Parameters
         ----------
         tips_m, axes
-            Tip [m] and direction of the axis at each pose of the tool, shapes (n, 3).
+            Tip positions [m] and axis directions of the tool poses, each of shape (n, 3).
         """
         beyond_m = 0.0
         for start in range(0, len(tips_m), POSES_TOGETHER):
@@ -109,7 +109,7 @@ class RegionEnd:
         return ceil(10.0 * (self._margin_mm + 1e3 * beyond_m - 1e-9)) / 10.0
 
     def check(self, tick: int, motion: ToolMotion) -> str:
-        """Return a sentence in the tick in which the tool leaves the region, otherwise ""."""
+        """Return a sentence if the tool leaves the region in this tick, else an empty string."""
         if self.left_tick is not None or not self._has_left(motion.tip_m, motion.rotation):
             return ""
         self.left_tick = tick

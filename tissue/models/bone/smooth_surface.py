@@ -14,7 +14,10 @@ from tissue.models.bone.bricks import BrickStore
 from tissue.models.bone.elements import CuttingForces, elements_of
 
 SMOOTH_ELEMENTS = 500
-"""Number of elements on the surface that does not cut; chosen."""
+"""Number of elements on the surface that does not cut; chosen.
+
+With more elements, each one represents a smaller area, and a tick takes more time.
+"""
 BLOCKED = 0.25
 """Smooth area in bone that causes a warning, divided by the area of the smallest end; chosen.
 
@@ -44,8 +47,9 @@ Source: Shirazi-Adl et al., 1993, quoted from memory, so the confidence is L (lo
 class SmoothSurface:
     """Part of a tool's surface that does not cut.
 
-    For a tool on a prescribed path, only the area of this surface in bone is computed. For a tool
-    on a haptic device, the bone under this surface is rigid and perfectly plastic.
+    For a tool on a prescribed path, only the part of this surface's area that lies in bone is
+    computed. For a tool on a haptic device, the bone under this surface is modelled as rigid and
+    perfectly plastic.
 
     Parameters
     ----------
@@ -63,7 +67,7 @@ class SmoothSurface:
     forces
         Forces of the bone on this surface.
     blocked_m2
-        Area in bone above which `is_blocked` is True [m2].
+        Limit of the surface area in bone [m2]. Above this limit, `is_blocked` is True.
     """
 
     def __init__(

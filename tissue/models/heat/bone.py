@@ -43,7 +43,7 @@ Most published measurements use thermocouples at this distance.
 
 
 def dose_rate(temperature_C: Array) -> Array:
-    """Return the rate of the thermal dose, minutes at 43 degC per minute.
+    """Return the rate of the thermal dose, in equivalent minutes at 43 degC per minute.
 
     The rate is R ** (43 - T), with R = 0.5 at 43 degC and above, and R = 0.25 below (Sapareto and
     Dewey 1984).

@@ -70,7 +70,7 @@ class HeatGrid:
     ) -> "HeatGrid":
         """Merge the voxels of a tooth or of bone into cells.
 
-        The heat capacity of bone is the capacity of bone with filled pores. This capacity does not
+        The heat capacity of bone is that of bone whose pores are filled. This capacity does not
         depend on the apparent density.
 
         Parameters
@@ -130,8 +130,8 @@ class HeatGrid:
 
         Each array has the shape of the grid. An entry belongs to the face between a cell and the
         next cell along the axis. The two half cells are in series: the conductance is area / (d /
-        2k + d' / 2k'), with the widths d and d' and the conductivities k and k'. The last plane of
-        an array along its axis is 0.
+        2k + d' / 2k'), with the widths d and d' and the conductivities k and k'. In the array for
+        an axis, the last plane along this axis is 0.
         """
         found = []
         conductivity = self.conductivity_W_mK
@@ -186,7 +186,7 @@ class HeatGrid:
         at = [_cells(*each) for each in zip(self.edges_m, points_m.T, strict=True)]
         return np.ravel_multi_index(at, self.filled.shape)
 
-    def share_out(self, corners_m: Array, size_m: float, volumes_m3: Array) -> Array:
+    def distribute(self, corners_m: Array, size_m: float, volumes_m3: Array) -> Array:
         """Distribute volumes of cubes among cells, in proportion to the overlap of cube and cell.
 
         Parameters
@@ -355,7 +355,7 @@ class Conduction:
         self._launches.reverse()
 
     def advance(self, power_W: Array, duration_s: float) -> None:
-        """Heat the cells for a duration with a power [W] that has the shape of the grid."""
+        """Heat the cells for a duration; `power_W` [W] has the shape of the grid."""
         self.heat(power_W)
         for _ in range(self.plan(duration_s)):
             self.step()

@@ -53,9 +53,9 @@ class CuttingHeat:
     temperature rise is proportional to the share.
 
     Heat is computed in intervals of several ticks. `begin` receives the energy and the cuts of the
-    last interval. `go_to` computes the heating by this energy step by step during the next
-    interval. The temperature therefore lags by one interval. `add_tick` is called in every tick of
-    a run and calls `begin` and `go_to`. `end` completes an interval.
+    last interval. During the next interval, `go_to` computes step by step how this energy heats the
+    tissue. The temperature therefore lags by one interval. `add_tick` is called in every tick of a
+    run and calls `begin` and `go_to`. `end` completes an interval.
 
     Parameters
     ----------
@@ -207,8 +207,8 @@ class CuttingHeat:
         motion
             Pose and motion of the tool at the end of the last interval.
         cut
-            Row numbers of the bricks (blocks of voxels) that lost material, and the remaining
-            fractions of the voxels in these bricks, 65535 = full.
+            Rows, in the brick store, of the bricks (blocks of voxels) that lost material, and the
+            remaining fractions of the voxels in these bricks, 65535 = full.
         """
         self.finish()
         self.cutting_J += cutting_J
@@ -247,7 +247,7 @@ class CuttingHeat:
         size = store.grid.spacing_m
         corners = store.grid.origin_m + size * voxels
         volumes_m3 = lost.astype(np.float64) * (size**3 / FULL)
-        return self.grid.share_out(corners, size, volumes_m3) / self._volume_m3
+        return self.grid.distribute(corners, size, volumes_m3) / self._volume_m3
 
     def _deposit(self, points_m: Array, normals: Array, weights: Array, tip_m: Array) -> None:
         """Set the heat power of the cells at the cut surface, and store the excess temperature.

@@ -29,32 +29,34 @@ each sweep halves the error.
 class Cut:
     """Cut in one plane by a blade that does not rotate, and the position of the blade in the cut.
 
-    A point of the plane has the coordinates s along the surface and l along the blade's axis, into
-    the tissue. The blade covers everything above its straight edge, so the cut is the region above
-    a depth profile along s. Columns of equal width store two mean depths: the depth of the cut, and
-    the depth over which the walls of the cut touch the blade. New walls touch the blade. A wall
-    separates from the blade when the blade no longer covers it. A separated wall never touches the
-    blade again.
+    A point of the plane has the coordinates s (along the surface) and l (along the blade's axis,
+    positive into the tissue). The blade covers the region above its straight edge. The cut is
+    therefore the region above a depth profile along s. The profile is stored in columns of equal
+    width. Each column has two mean depths: the depth of the cut, and the depth over which its walls
+    touch the blade. Newly cut walls touch the blade. A wall separates from the blade when the blade
+    no longer covers it. A separated wall never touches the blade again.
 
-    Only the blade acts on the tissue, so the pull of the tissue equals the force of the blade, as
-    in `tissue.models.needle.model.Insertion`. Let q be the position of the blade relative to the
-    tissue, and u the vector from q to the tool, in the plane of the cut. The tissue pulls the blade
-    with the force -k u, with the stiffness k. Every step finds the q that minimises the energy::
+    Only the blade acts on the tissue. The pull of the tissue therefore equals the force of the
+    blade, as in `tissue.models.needle.model.Insertion`. Let q be the position of the blade relative
+    to the tissue. Let u be the vector from q to the position of the tool, in the plane of the cut.
+    The tissue pulls the blade with the force -k u, where k is the stiffness. In every step, q
+    minimises the following energy, where q_before is q in the previous step::
 
         k u²/2  +  J A(q)  +  2 tau M |q - q_before|
 
-    Here A is the cut area, M the area of each wall that touches the blade, and tau the friction per
-    area. J is the energy release rate at which the blade cuts (Francfort and Marigo 1998). A side
-    of the blade cuts when the force across this side reaches J times the length of the side in
-    uncut tissue. Under a smaller force the blade does not move in the tissue. Motion of the edge
-    along its own direction has no resistance. The work of the tool equals the change of k u²/2,
-    plus the increase of J A, plus the work of friction. Except for terms of second order in the
-    step, the energy is convex in q. Therefore q moves by no more than the tool moves.
+    Here A is the cut area, M is the area of each wall in contact with the blade, and tau is the
+    friction per area. J is the energy release rate at which the blade cuts (Francfort and Marigo
+    1998). A side of the blade cuts when the force normal to it reaches J times the length of the
+    side that lies in uncut tissue. Under a smaller force the blade does not move in the tissue.
+    Motion of the edge along its own direction has no resistance. The work of the tool equals the
+    change of k u²/2, plus the increase of J A, plus the work of friction. Except for terms of
+    second order in the step, the energy is convex in q. Therefore q moves by no more than the tool
+    moves.
 
     Attributes
     ----------
     place_m
-        Coordinates s and l of the blade's tip relative to the tissue [m], q in the equations.
+        Coordinates s and l of the blade's tip relative to the tissue [m]; q in the equations.
     pull_N
         Force of the tissue on the blade in the plane of the cut [N]. The two components point along
         the surface and out of the surface.
@@ -121,7 +123,7 @@ class Cut:
         self._moved_m = 0.0
 
     def advance(self, along_m: float, depth_m: float) -> None:
-        """Move the tool to a position, and the blade in the tissue to its force balance."""
+        """Move the tool to a position, and move the blade to the place where its forces balance."""
         start_s, start_l = self.place_m
         stiffness = self._tissue.stiffness_N_m
         # Components of u along the surface and out of the surface, which are orthogonal.

@@ -51,13 +51,13 @@ the planned cut. The value is assumed.
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Planned cut: coordinate frame, ends along the surface, and depth along the blade's axis.
+    """Planned cut: coordinate frame, ends along the surface, and largest depth.
 
     Attributes
     ----------
     cut
-        Cut at the first entry of the tool. It defines the plane of the cut, the coordinate s along
-        the surface and the coordinate l along the blade's axis.
+        Cut that begins where the tool first enters the tissue. It defines the plane of the cut, the
+        coordinate s along the surface and the coordinate l along the blade's axis.
     ends_m
         Smallest and largest coordinate along the surface that the blade reaches [m].
     deepest_m
@@ -121,7 +121,7 @@ def _half(track: Track) -> tuple[TetMesh, Ints, Array]:
 class IncisionFields:
     """Displacement, strain and stress of a tissue block that is split by the first cut of a motion.
 
-    When a frame of the display is due, the tick only copies the profile of the cut. The fields are
+    In a tick in which a display frame is due, only the profile of the cut is copied. The fields are
     computed after the end of the run. The block is symmetric, so only half of it is solved.
 
     Parameters
@@ -156,7 +156,7 @@ class IncisionFields:
         self.series = self._whole(self._fields.series)
 
     def keep(self, time_s: float, cuts: Sequence[Cut]) -> None:
-        """Store the profiles of the cuts near the planned cut."""
+        """Store the profiles of the cuts near the planned cut, as the frame at `time_s` [s]."""
         self.next_s += self._fields.interval_s
         near = [
             (middles + cut_s, depths)
@@ -175,8 +175,9 @@ class IncisionFields:
         """Sentence that describes the fields."""
         size = by(1e3 * np.ptp(self.series.nodes_m, axis=0), ".0f")
         return (
-            f"a linear-elastic block of {size} mm, split by the first cut, whose faces part under "
-            "the stress of the prestrain: a picture, not a second model of the force"
+            f"a linear-elastic block of {size} mm, split by the first cut. Its faces open under "
+            "the stress of the prestrain. The block serves the pictures; the force does not depend "
+            "on it"
         )
 
     def compute(self) -> None:

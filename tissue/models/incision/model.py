@@ -31,24 +31,24 @@ class IncisionModel:
     Rotation of a blade inside the tissue is not resisted and has no effect. A blade does not cut
     sideways, across its plane. If the blade is farther than `PLAY_M` from the plane of the cut, the
     tissue pushes the blade back elastically. The stiffness of this force increases with the depth,
-    up to a depth equal to the blade's width. A blade moves in an earlier cut if its whole width
-    enters within `PLAY_M` of the plane of this cut, and if the blade points in the direction of the
-    cut. Elsewhere the tissue is treated as intact, even where the blade crosses an earlier cut. The
+    up to a depth equal to the blade's width. A blade re-enters an earlier cut if it points in the
+    direction of this cut and its whole width enters within `PLAY_M` of the plane of the cut.
+    Elsewhere the tissue is treated as intact, even where the blade crosses an earlier cut. The
     force acts at the tip, so there is no torque about the tip.
 
     Relaxation, weight, blades with a blunt back, fibres and layers are not modelled.
 
-    The force does not depend on speed, and is returned as ``edge`` of the response. ``engaged_m2``
-    of the response is the area of the two walls that touch the blade, plus the area of the edge.
-    The ``measures`` of the response are the depth of the tip in the tissue [mm], the deflection of
-    the tissue [mm], the cut area [mm2] and the work of friction [mJ].
+    The force does not depend on speed. The response contains it as ``edge``. ``engaged_m2`` of the
+    response is the area of the two walls that touch the blade, plus the area of the edge. The
+    ``measures`` of the response are the depth of the tip in the tissue [mm], the deflection of the
+    tissue [mm], the cut area [mm2] and the work of friction [mJ].
 
     Parameters
     ----------
     tissue, blade
         Tissue and blade.
     fields
-        Fields that show the opening of the cut, or None for no display. The force does not depend
+        Fields that show how the cut opens. None if nothing is displayed. The force does not depend
         on the fields.
 
     Raises
@@ -85,7 +85,7 @@ class IncisionModel:
 
     @property
     def area_m2(self) -> float:
-        """Area of all cuts [m2]; the two walls of a cut are counted once."""
+        """Area of all cuts [m2], counting the two walls of a cut once."""
         return sum(cut.area_m2 for cut in self.cuts)
 
     @property
@@ -107,7 +107,7 @@ class IncisionModel:
         self._in = None
 
     def advance(self, motion: ToolMotion) -> None:
-        """Move the blade to its new pose, with elastic deflection, cutting and friction."""
+        """Move the blade to its new pose, and compute elastic deflection, cutting and friction."""
         below = self._below_m(motion)
         if self._in is None:
             if below <= 0.0:

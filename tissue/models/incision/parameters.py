@@ -22,8 +22,7 @@ class Blade:
     width_m, thickness_m
         Width along x [m] and thickness [m].
     edge_rad
-        Angle between edge and z axis [rad]: a right angle for a chisel, smaller for a pointed
-        blade.
+        Angle between the edge and the z axis [rad]: pi/2 for a chisel, less for a pointed blade.
     """
 
     width_m: float
@@ -65,7 +64,7 @@ class IncisedTissue:
         Force of the tissue on a blade divided by the deflection of the tissue [N/m]. The value is
         equal in all directions.
     young_Pa, poisson_ratio
-        Young's modulus [Pa] and Poisson's ratio of the tissue block that is drawn.
+        Young's modulus [Pa] and Poisson's ratio of the tissue block in the displayed fields.
     prestrain
         Strain of the uncut tissue across the plane of the cut. The strain relaxes when the cut
         opens. The prestrain affects only the width of the drawn cut.
@@ -91,8 +90,8 @@ def punch_stiffness_N_m(blade: Blade, *, young_Pa: float, poisson_ratio: float) 
     """Return the stiffness of an elastic half space under the blade's lower end [N/m].
 
     The lower end is modelled as a rigid elliptical punch with half axes a and b. The stiffness
-    under the punch is pi E* a / K(e), with E* = E / (1 - nu²), e² = 1 - b²/a² and K the complete
-    elliptic integral (Johnson 1985).
+    under the punch is pi E* a / K(e). Here E* = E / (1 - nu²), e² = 1 - b²/a², and K is the
+    complete elliptic integral of the first kind (Johnson 1985).
     """
     modulus = young_Pa / (1.0 - poisson_ratio**2)
     flat = 1.0 - (blade.thickness_m / blade.width_m) ** 2
@@ -100,7 +99,7 @@ def punch_stiffness_N_m(blade: Blade, *, young_Pa: float, poisson_ratio: float) 
 
 
 def secant_stiffness_N_m(force_N: float, *, constants: Materials) -> float:
-    """Return the secant stiffness of the needle model's liver at a given force [N/m].
+    """Return the secant stiffness that the needle model gives for liver at a given force [N/m].
 
     The stiffness is not computed from the small-strain modulus of liver. With this modulus, a half
     space under a blade would deflect by centimetres. This is several times the deflection of liver
@@ -117,7 +116,7 @@ def incised_tissue(
     """Return the parameters of a tissue, with the material constants of the file `soft.toml`.
 
     The stiffness of skin is the stiffness of a half space, see `punch_stiffness_N_m`. The stiffness
-    of liver is `secant_stiffness_N_m` at the force at which the whole edge of the blade cuts.
+    of liver is `secant_stiffness_N_m` for the force with which the whole edge cuts.
     """
     found = constants.values("soft", name)
     young = 1e3 * found["modulus_kPa"]

@@ -147,8 +147,8 @@ class NeedleFields:
     elasticity
         Lame constants [Pa], shape (2,).
     near_m
-        Distance from the track's entry point within which another entry point belongs to the track
-        [m], for example the needle's diameter.
+        Largest distance [m] between the entry point of the track and another entry point that
+        belongs to the track, for example the needle's diameter.
     interval_s
         Time between two frames [s].
     """
@@ -177,7 +177,7 @@ class NeedleFields:
         interval_s: float,
         constants: Materials = Materials.cited,
     ) -> "NeedleFields":
-        """Return the fields of a block with the Young's modulus of liver from the cited sources.
+        """Return the fields of a block with the Young's modulus of liver in the cited sources.
 
         Poisson's ratio is the smallest value in the cited sources, because linear finite elements
         lock at larger values.
@@ -214,17 +214,17 @@ class NeedleFields:
         first, second = self._lame_Pa
         modulus_kPa = 1e-3 * second * (3.0 * first + 2.0 * second) / (first + second)
         return (
-            f"the linear-elastic answer of a block of {size} mm around the first track to the "
-            "deflection that the needle's model gives. Stress and reaction are those of a modulus "
-            f"of {modulus_kPa:.3g} kPa (soft.liver.modulus_kPa), which does not follow from the "
-            "needle's constants: a picture, not a second model of the force"
+            f"a linear-elastic block of {size} mm around the first track, displaced by the "
+            "deflection of the needle's model. Stress and reaction follow from a modulus of "
+            f"{modulus_kPa:.3g} kPa (soft.liver.modulus_kPa), not from the needle's constants. The "
+            "block serves the pictures; the force does not depend on it"
         )
 
     def forces_N(self, deflection_m: float, inserted_m: float) -> Array:
         """Return the nodal forces [N] that cause a deflection, shape (k, 3).
 
-        Down to the inserted length, the k nodes of the track are displaced by the deflection along
-        the needle. The needle is rigid, so the nodes are not displaced across it.
+        The track has k nodes. Nodes down to the inserted length move along the needle by the
+        deflection. The needle is rigid, so the nodes are not displaced across it.
         """
         moved = self._depths_m <= inserted_m + ON_TRACK_M
         forces = np.zeros((len(self.nodes), 3))

@@ -16,7 +16,7 @@ ASIDE_M = 5e-3
 
 
 class Insertion:
-    """One track of a needle, in one dimension.
+    """One-dimensional model of a needle in one track.
 
     Let z be the travel of the tip beyond the undeformed surface, u the deflection of the organ and
     L the inserted length of the needle. Then z = u + L. Only the needle acts on the organ, so the
@@ -29,13 +29,13 @@ class Insertion:
     force with which the holes in the membranes hold the shaft. ``friction`` is the dry friction of
     the shaft, which increases with L. Viscous friction is not included. While the pull is smaller
     than the sum on the right side, needle and organ move together: the shaft sticks and L is
-    constant. The pull is the applied force of Karnopp's friction law. The shaft slides if the pull
-    exceeds the right side with the static friction. Then the balance gives u in closed form, and L
-    = z - u. An intact membrane stops the tip until the pull also exceeds the puncture force. Then
-    the organ springs back along the shaft at once, to the deflection u of the new balance. Before
-    the puncture of the capsule, L is 0, so the force is the polynomial of Okamura (2004) in u = z.
-    After the puncture the deflection, the elastic force and the inserted length are larger than
-    zero.
+    constant. In Karnopp's friction law, the pull takes the place of the applied force. The shaft
+    slides if the pull exceeds the right side, computed with the static friction. Then the balance
+    gives u in closed form, and L = z - u. An intact membrane stops the tip until the pull also
+    exceeds the puncture force. Then the organ springs back along the shaft at once, to the
+    deflection u of the new balance. Before the puncture of the capsule, L is 0, so the force is the
+    polynomial of Okamura (2004) in u = z. After the puncture the deflection, the elastic force and
+    the inserted length are larger than zero.
 
     A shaft sticks when its motion stops or reverses, or when an obstacle stops the tip. It also
     sticks when its speed falls below half of `ShaftFriction.stick_band_m_s`. Viscous friction acts
@@ -127,9 +127,9 @@ class Insertion:
 
         While the shaft slides, the parts are the holding force of the membranes, the cutting force
         of the tip and the friction of the shaft. While the shaft sticks, only the pull is known.
-        The sliding force is the pull at which the shaft starts to slide. A pull up to the sliding
-        force is divided in the proportions of a sliding shaft. The excess of a larger pull counts
-        as elastic if an intact membrane stops the tip, and otherwise as friction.
+        The sliding force is the pull at which the shaft starts to slide. If the pull is at most the
+        sliding force, its parts have the same proportions as during sliding. If the pull is larger,
+        the excess counts as elastic if an intact membrane stops the tip, and otherwise as friction.
         """
         pull = self.pull_N
         length = self.inserted_m
@@ -266,17 +266,18 @@ class NeedleModel:
     axis. Sideways motion or rotation of the needle inside the organ has no resistance. An event
     reports a sideways motion of more than `ASIDE_M`. Travel and inserted length are measured along
     the axis, from its intersection with the undeformed surface. Membranes are parallel to the
-    surface. Their inserted lengths follow from the direction of the needle at its entry, and a
-    later rotation does not change them. Only the latest track is stored. A needle that leaves the
-    organ and re-enters within one needle diameter of its last entry point moves in the open track.
-    At other points the organ is treated as intact.
+    surface. The inserted lengths at which the needle reaches the membranes follow from the
+    direction of the needle at its entry. A later rotation does not change these lengths. Only the
+    latest track is stored. If a needle leaves the organ and enters again within one diameter of its
+    last entry, it moves in the existing track. At other points the organ is treated as intact.
 
     The response's ``edge`` is the pull of the organ. This pull also acts at rest and does not
     depend on speed. ``resistance`` is the viscous friction of a sliding shaft. ``engaged_m2`` has
-    the cross-section of the needle in the column of the layer that the tip touches, and 0 in the
-    other columns. The ``measures`` are the inserted length [mm], the deflection of the organ [mm]
-    and three parts of the axial force [N]: elastic, cutting and friction, see `Insertion.shares_N`.
-    The sum of the parts is the axial force, positive against insertion.
+    one column for each layer. The column of the layer that the tip touches contains the
+    cross-section of the needle, and the other columns contain 0. The ``measures`` are the inserted
+    length [mm], the deflection of the organ [mm] and three parts of the axial force [N]: elastic,
+    cutting and friction, see `Insertion.shares_N`. The sum of the parts is the axial force,
+    positive against insertion.
 
     Parameters
     ----------
@@ -347,7 +348,7 @@ class NeedleModel:
         self._is_aside = False
 
     def advance(self, motion: ToolMotion) -> None:
-        """Move the needle to its new pose, with elastic deflection, cutting and friction."""
+        """Move the needle to its new pose, and compute elastic deflection, cutting and friction."""
         travel = self._travel_m(motion)
         insertion = self.insertion
         if travel > 0.0 and insertion.travel_m <= 0.0 and insertion.inserted_m == 0.0:

@@ -33,8 +33,8 @@ class Membrane:
     puncture_N
         Force of the tip at which the membrane breaks [N].
     hold_N
-        Elastic force [N] of the edge of the hole on the shaft after the puncture. The force resists
-        both insertion and withdrawal of the shaft.
+        Elastic force [N] that the edge of the hole exerts on the shaft after the puncture. The
+        force resists both insertion and withdrawal of the shaft.
     """
 
     name: str
@@ -117,7 +117,7 @@ class ShaftFriction:
 
 @dataclass(frozen=True, kw_only=True)
 class NeedleTissue:
-    """Needle parameters of an organ along the needle's axis.
+    """Parameters of an organ that determine the force on a needle along its axis.
 
     Attributes
     ----------
@@ -248,11 +248,14 @@ def needle_tissue(
             puncture_N=liver["capsule_puncture_N"],
             hold_N=liver["capsule_hold_N"],
         )
-    return NeedleTissue(
-        linear_N_m=1e3 * liver["linear_N_mm"],
-        quadratic_N_m2=1e6 * liver["quadratic_N_mm2"],
-        cutting_N=liver["cutting_N"],
-        friction=ShaftFriction(
+    # A user may give one of two constants that must fit each other.
+    origins = {name: constants.origin("needle", "liver", name) for name in liver}
+    keys = {
+        name: f"{name} ({'built-in value' if origin == 'cited' else origin})"
+        for name, origin in origins.items()
+    }
+    with names_of_caller(keys if constants.given else {}):
+        friction = ShaftFriction(
             sliding_in_N_m=liver["sliding_in_N_m"],
             sliding_out_N_m=liver["sliding_out_N_m"],
             viscous_in_N_s_m2=liver["viscous_in_N_s_m2"],
@@ -260,6 +263,11 @@ def needle_tissue(
             static_in_N_m=liver["static_in_N_m"],
             static_out_N_m=liver["static_out_N_m"],
             stick_band_m_s=1e-3 * liver["stick_band_mm_s"],
-        ),
+        )
+    return NeedleTissue(
+        linear_N_m=1e3 * liver["linear_N_mm"],
+        quadratic_N_m2=1e6 * liver["quadratic_N_mm2"],
+        cutting_N=liver["cutting_N"],
+        friction=friction,
         membranes=(capsule, *walls),
     )

@@ -16,7 +16,7 @@ FACTOR_UNKNOWNS = 200_000
 
 For larger organs a multigrid solver is used, because a factor would take gigabytes of memory.
 """
-CompliancePath = Literal["condensed", "reduced"]
+ComplianceMethod = Literal["condensed", "reduced"]
 """Method used to compute the compliance before a run.
 
 ``condensed``: the complete matrix is computed by a factorisation, and cached on disk. ``reduced``:
@@ -33,8 +33,9 @@ On a surface of 5,000 nodes, the three columns of a touched node need 0.36 MB, s
 class Factor:
     """Sparse factor of an organ's stiffness matrix, computed when it is first needed.
 
-    If the factor would need too much memory, a multigrid solver is used instead. Columns of the
-    compliance (displacements of the surface under unit forces) are stored for later presses.
+    If the factor would need too much memory, a multigrid solver is used instead. Computed columns
+    of the compliance (surface displacements under unit forces) are stored and reused when a tool
+    presses again.
 
     Parameters
     ----------
@@ -58,7 +59,7 @@ class Factor:
         return DirectSolver(self._body, last=self._last)
 
     def expect(self, nodes: Ints) -> None:
-        """Request a factor from which the compliance between the given nodes can be read directly.
+        """Request a factorisation that directly contains the compliance of the given nodes.
 
         The request has no effect if the factor has been computed before, or if it would be too
         large.

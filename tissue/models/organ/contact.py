@@ -113,7 +113,7 @@ def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[Int32
 
 
 def body_arrays(nodes_m: Array, faces: Ints, compliance_m_N: Array, device: str) -> Body:
-    """Return the device arrays of the touchable surface at rest, without force.
+    """Return the device arrays of the touchable surface, at rest and with zero forces.
 
     On a CPU the compliance is not copied.
     """
@@ -136,7 +136,7 @@ def body_arrays(nodes_m: Array, faces: Ints, compliance_m_N: Array, device: str)
 def point_arrays(
     nodes_m: Array, faces: Ints, probe: ProbeShape, spacing_m: float | None, device: str
 ) -> Points:
-    """Return contact points without force, in one linked list for each triangle.
+    """Return contact points with zero force, in one linked list for each triangle.
 
     For a shell, the contact points are the points of the shell. For other tools, the points lie on
     the triangles, at most ``spacing_m`` apart.
@@ -198,7 +198,7 @@ class ContactResult:
     contacts
         Number of contact points that carry force.
     area_m2
-        Area that the contact points with force represent, on the organ or on a shell [m2].
+        Area that contact points with nonzero force represent, on the organ or on a shell [m2].
     penetration_m
         Deepest remaining penetration [m].
     """
@@ -266,15 +266,15 @@ class SurfaceContact:
         Coefficient of Coulomb friction.
     tolerance
         Allowed change of a point's displacement in the last sweep, relative to the largest
-        displacement. On a slab under a sphere the error of the force is 1 % with 1e-3 and 0.2 %
-        with 1e-4.
+        displacement. For a sphere on a slab, the error of the force is 1 % at a tolerance of 1e-3,
+        and 0.2 % at 1e-4.
     sweeps
         Largest number of Gauss-Seidel sweeps in one call of `solve`.
     spacing_m
         Largest distance between contact points on the organ [m]; default: the tool's `spacing_m`.
     device, cores
-        Warp device name, and number of processor cores that share the projection of a shell's
-        points onto the organ (default: all cores).
+        Warp device name, and number of processor cores that project the points of a shell onto the
+        organ (default: all cores).
 
     Raises
     ------
@@ -445,10 +445,10 @@ class SurfaceContact:
     def change_compliance(self, compliance_m_N: Array) -> None:
         """Replace the values of the compliance [m/N], shape (3s, 3s), for the next solutions.
 
-        With the new compliance, the present forces cause another displacement. The difference, old
-        minus new, is added to the stored node positions without contact, so that the friction law
-        registers no motion of the nodes. The caller must also add this difference to the offset in
-        the next call of `shift`.
+        With the new compliance, the present forces cause another displacement. The difference (old
+        minus new) is added to the stored positions that the nodes have without contact. The
+        friction law then registers no motion of the nodes. The caller must also add this difference
+        to the offset in the next call of `shift`.
         """
         before = self.result.displacement_m()
         self.use_compliance(compliance_m_N)
@@ -464,7 +464,7 @@ class SurfaceContact:
         gather_all_again(self._patch)
 
     def shift(self, offset_m: Array) -> None:
-        """Set the displacements of the nodes without contact forces [m], shape (s, 3)."""
+        """Set the displacements of the nodes at zero contact force [m], shape (s, 3)."""
         self._body.free.assign(self.nodes_m + offset_m)
         # The search for near triangles must include the largest shift of a node.
         self._results.host[LARGEST] += float(np.linalg.norm(offset_m, axis=1).max())

@@ -46,7 +46,7 @@ class OrganFields:
     touchable
         Nodes on which forces act, shape (t,).
     interval_s
-        Time between two frames [s]; infinite for no frames.
+        Time between two frames [s]; infinity if no frames are wanted.
     windows
         Parts of the organ in which the hyperelastic law is solved; None for a linear organ.
     """

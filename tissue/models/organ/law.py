@@ -55,7 +55,7 @@ force of a deep press by up to 3.8 %. With 0.001 this change is 0.4 %. The equil
 docs/decisions.md need at most 9 steps. With a limit of 5 steps, one equilibrium in eight does not
 reach the tolerance.
 """
-MISSED = 0.01
+PREDICTION_TOLERANCE = 0.01
 """Relative error of a predicted displacement above which the compliance is computed again.
 
 The prediction uses the compliance. If an old compliance is used too long, the force depends on the
@@ -63,7 +63,7 @@ time at which this compliance was computed. With 0.05 the force of a deep press 
 when an Ogden exponent increases from 15.5 to 16.5. With 0.02 some forces change by 4 %. With 0.01
 the forces differ by at most 0.1 % from a computation with a new compliance in every interval.
 """
-APART_M = 2e-4
+SLOPE_STEP_M = 2e-4
 """Smallest depth difference of two equilibria from which the offset's slope is computed [m].
 
 With 5e-5 the force of a deep press does not change. With 8e-4 the largest force error while the
@@ -134,21 +134,21 @@ class _Equilibrium:
         """
         deeper_m = self.depth_m - other.depth_m
         square = float(np.sum((self.tip_m - other.tip_m) ** 2)) - deeper_m**2
-        return square > max(APART_M, abs(deeper_m)) ** 2
+        return square > max(SLOPE_STEP_M, abs(deeper_m)) ** 2
 
 
 @dataclass(eq=False)
 class TickState:
-    """State of a contact in one tick. A law is solved from this state while the ticks continue.
+    """State of a contact in one tick, for which the law is solved while the ticks continue.
 
     Attributes
     ----------
     nodal_forces_N, crept_N
-        Contact forces, and crept forces (contact forces after creep of the tissue, see the module)
-        [N], each of shape (t, 3).
+        Contact forces, and crept forces (forces that would cause the present displacement without
+        creep) [N], each of shape (t, 3).
     offset_m
-        Offset in the tick [m], shape (t, 3): displacement by the hyperelastic law minus
-        displacement by the compliance.
+        Offset in the tick [m], shape (t, 3): displacement according to the hyperelastic law minus
+        displacement computed with the compliance.
     compliance_m_N
         Compliance of the contact nodes [m/N], shape (3t, 3t). The solver may replace it.
     tip_m
@@ -176,7 +176,7 @@ def _displaced(contact: TickState, forces_N: Array) -> Array:
 
 
 class LawOffset:
-    """Offset of an organ: displacement by its hyperelastic law minus displacement by a compliance.
+    """Offset of an organ: hyperelastic displacement minus the displacement by a compliance matrix.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ class LawOffset:
         return min((time_s - self._changed_s) / self.interval_s, 1.0)
 
     def start_thread(self) -> None:
-        """Start the second thread, with the priority of the caller."""
+        """Start the thread that computes equilibria; it has the priority of the caller."""
         self._second_thread().submit(int)
 
     def _second_thread(self) -> Executor:
@@ -246,7 +246,7 @@ class LawOffset:
         return self._thread
 
     def stop_thread(self) -> None:
-        """End the second thread when it has found its present equilibrium."""
+        """End the second thread when it has finished the equilibrium that it is computing."""
         if self._thread is not None:
             self._thread.shutdown()
         self._thread = None
@@ -255,7 +255,7 @@ class LawOffset:
     def renew(
         self, time_s: float, depth_m: float, state: Callable[[], TickState], *, waits: bool
     ) -> TickState | None:
-        """Solve for the equilibrium at the end of an interval, now or in the second thread.
+        """Solve for an equilibrium if an interval has ended, in this call or in a second thread.
 
         Return the state for which an equilibrium was found, or None if no equilibrium was found in
         this call. If the result is a state, the caller must call `show`.
@@ -293,8 +293,8 @@ class LawOffset:
         time_s, depth_m
             Present time [s], and travel of the tool in contact [m].
         held_m
-            Offset [m], shape (t, 3), with which no node moves when the compliance is replaced. The
-            change starts from this offset. None if the compliance was not replaced.
+            Offset [m], shape (t, 3), that keeps every node in place when the compliance is
+            replaced. The change starts from this offset. None if the compliance was not replaced.
         """
         share = self._share(time_s)
         start, end = self._shown
@@ -309,11 +309,12 @@ class LawOffset:
         self._changed_s = time_s
 
     def solve(self, depth_m: float, contact: TickState) -> TickState:
-        """Solve for the equilibrium under the crept forces of a state, and return the state.
+        """Solve for the equilibrium under the crept forces of ``contact``, and return ``contact``.
 
-        Crept forces are the contact forces after creep of the tissue. If the organ does not relax,
-        the crept forces equal the contact forces. The linear algebra always uses one thread, so the
-        forces do not depend on the number of available threads.
+        Crept forces are the forces that would cause the present displacement if the tissue did not
+        creep. If the organ does not relax, the crept forces equal the contact forces. The linear
+        algebra always uses one thread, so the forces do not depend on the number of available
+        threads.
         """
         with one_blas_thread():
             return self._solve(depth_m, contact)
@@ -340,7 +341,7 @@ class LawOffset:
         expected = np.zeros_like(self.latest_m)
         self._now.into(expected, depth_m, 1.0)
         missed = moved - (_displaced(contact, forces) + expected)[window.inside]
-        has_missed = np.linalg.norm(missed) > MISSED * np.linalg.norm(moved)
+        has_missed = np.linalg.norm(missed) > PREDICTION_TOLERANCE * np.linalg.norm(moved)
         # The tangent of a new window is computed at its first equilibrium, not at the first guess.
         if self._factor is None or (follower.factor is self._factor and has_missed):
             follower.take_stiffness()
@@ -363,7 +364,7 @@ class LawOffset:
             reach_m = 0.0
         deeper_m = depth_m - self._apart.depth_m
         # With a smaller change of depth, the errors of two solves would be divided by almost zero.
-        if abs(deeper_m) >= APART_M:
+        if abs(deeper_m) >= SLOPE_STEP_M:
             if not changed:
                 last = self._offset(contact, self._apart.moved_m, self._apart.forces_N)
                 slope = (offset - last) / deeper_m
@@ -444,8 +445,8 @@ class LawOffset:
             return None if self._factor is before else self._compliance(present_m_N)
 
     @property
-    def older(self) -> float:
-        """Share of the run time in which the offset was older than an interval.
+    def late_share(self) -> float:
+        """Share of the run time in which the offset was out of date by more than an interval.
 
         An equilibrium whose computation takes longer than an interval delays the next equilibrium.
         The share is the sum of these delays, divided by the sum of all intervals and delays.

@@ -56,10 +56,9 @@ class LawWindow:
     follower
         Solver for the equilibria of the nodes in the window.
     inside
-        Touchable nodes in the window, as indices into all touchable nodes, in rising order, shape
-        (w,).
+        Touchable nodes in the window, as increasing indices into all touchable nodes, shape (w,).
     places
-        Indices of the nodes in `inside` among the nodes of the window, shape (w,).
+        For each node in `inside`, its index among the nodes of the window, shape (w,).
     region
         Region of the window.
     """
@@ -96,8 +95,8 @@ class LawWindow:
         Parameters
         ----------
         crept_N, held_m
-            Crept forces (contact forces after creep) [N] and displacements [m] of all touchable
-            nodes, each of shape (t, 3).
+            Crept forces [N] (forces that would cause the displacements without creep) and
+            displacements [m] of all touchable nodes, each of shape (t, 3).
         compliance
             Function that returns the compliance of the springs [m/N], shape (3l, 3l). Its arguments
             are this window and the loaded nodes, as indices into `inside`, shape (l,).
@@ -154,12 +153,13 @@ class LawWindows:
         """Use the window nearest to the contact, and return True if the window changed.
 
         A new window starts from the displacement of the last window. Nodes outside the last window
-        start from the displacement by the linear law.
+        start from the displacement that the linear law gives.
 
         Parameters
         ----------
         nodal_forces_N, crept_N
-            Contact forces, and crept forces (contact forces after creep) [N], each of shape (t, 3).
+            Contact forces, and crept forces (forces that would cause the present displacement
+            without creep) [N], each of shape (t, 3).
         """
         size_N = np.linalg.norm(nodal_forces_N, axis=1)
         if len(self._windows) == 1 or not size_N.any():
@@ -199,7 +199,7 @@ class LawWindows:
 
     @property
     def indefinite(self) -> int:
-        """Number of tangent stiffnesses so far that were not positive definite."""
+        """Number of tangent stiffness matrices that have not been positive definite so far."""
         return sum(window.follower.indefinite for window in self._windows)
 
 

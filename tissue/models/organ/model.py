@@ -47,7 +47,7 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.fem.fields import FieldSeries
 from tissue.materials.prony import HereditaryIntegral
-from tissue.models.organ.compliance import CompliancePath
+from tissue.models.organ.compliance import ComplianceMethod
 from tissue.models.organ.contact import ContactOutcome, SurfaceContact
 from tissue.models.organ.fields import OrganFields
 from tissue.models.organ.law import LawOffset, TickState
@@ -77,27 +77,27 @@ class ContactSolution:
 
     Attributes
     ----------
-    path, basis_size
+    method, basis_size
         Method used to compute the compliance of the touchable nodes, and number of vectors of a
         reduced basis. If the method is None, columns of the compliance are computed from the
-        organ's factor and stored for the next tool.
+        factorised stiffness and stored for the next tool.
     tolerance, sweeps
         Tolerance of the contact solver, and largest number of sweeps, see `SurfaceContact`. The
         defaults suit a tick of 1 ms.
     cores
-        Number of processor cores that share the projection of a shell's points onto the organ;
-        default: all cores.
+        Number of processor cores that project the points of a shell onto the organ; default: all
+        cores.
     """
 
-    path: CompliancePath | None = None
+    method: ComplianceMethod | None = None
     basis_size: int = 300
     tolerance: float = 1e-3
     sweeps: int = 100
     cores: int | None = None
 
 
-class LiverModel:
-    """Soft organ under a tool on a given path.
+class OrganModel:
+    """Soft organ that is touched by a tool on a given path.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class LiverModel:
     solution
         Options of the contact solver.
     interval_s
-        Time between two frames of displacement and stress [s]; infinite for no frames.
+        Time between two frames of displacement and stress [s]; infinity if no frames are wanted.
     step_s
         Length of a tick [s].
     report
@@ -150,7 +150,7 @@ class LiverModel:
         touchable, faces = organ.touchable(tool)
         self.touchable = touchable
         compliance = organ.compliance(
-            touchable, solution.path, basis_size=solution.basis_size, report=report
+            touchable, solution.method, basis_size=solution.basis_size, report=report
         )
         self.contact = SurfaceContact(
             space.nodes_m[touchable] + organ.rest[1][touchable],
@@ -232,8 +232,8 @@ class LiverModel:
     def state(self) -> State:
         """Return a copy of the state on which later ticks depend.
 
-        The factor of a hyperelastic law is shared, not copied. A pickled state does not contain the
-        factor.
+        The stiffness factorisation of a hyperelastic law is shared, not copied. A pickled state
+        does not contain the factorisation.
         """
         creep = [copied(each, HereditaryIntegral.STATE) for each in self._integrals()]
         crept = self._crept_N.copy()
@@ -293,9 +293,8 @@ class LiverModel:
         while self._limits and measures[0] > 1e3 * self._limits[0][0]:
             depth, error = self._limits.pop(0)
             self.notices.append(
-                f"pressed {1e3 * depth:.1f} mm deep: from here linear elasticity is more "
-                f"than {error:.0%} off a "
-                "hyperelastic force"
+                f"pressed {1e3 * depth:.1f} mm deep: at larger depths, the force of the linear law "
+                f"differs by more than {error:.0%} from the force of a hyperelastic law"
             )
         measures[1] = result.contacts
         measures[2] = result.iterations
@@ -357,7 +356,7 @@ class LiverModel:
         self._fields.notices.clear()
 
     def summary(self) -> dict[str, object]:
-        """Return statistics of the solutions of a hyperelastic law, for the summary of the run.
+        """Return solver statistics of a hyperelastic law, for the summary of the run.
 
         The dictionary is empty for a linear organ.
         """
@@ -372,7 +371,7 @@ class LiverModel:
                     "median": 1e3 * float(np.median(self._law.took_s or [0.0])),
                     "p99": 1e3 * float(np.percentile(self._law.took_s or [0.0], 99)),
                 },
-                "offset_older_than_interval": self._law.older,
+                "offset_older_than_interval": self._law.late_share,
             }
         }
 

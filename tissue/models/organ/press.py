@@ -10,7 +10,7 @@ from meshes.base.errors import InputError
 from meshes.base.progress import Progress, silent
 from tissue.fem.fields import Frame
 from tissue.models.organ.contact import SurfaceContact, contact_points
-from tissue.models.organ.model import ContactSolution, LiverModel
+from tissue.models.organ.model import ContactSolution, OrganModel
 from tissue.models.organ.probe import ProbeShape, ShellProbe
 from tissue.models.organ.soft_organ import SoftOrgan, ToolPath, linear_triangles
 from tissue.models.tissue_model import ToolMotion
@@ -135,7 +135,7 @@ def press(
         steps = max(steps, ceil(PER_RELAXATION * relaxations))
     step_s = depth_m / speed_m_s / steps
     turns = np.broadcast_to(rotation, (POSES, 3, 3))
-    model = LiverModel(
+    model = OrganModel(
         organ,
         ToolPath(probe, tips, turns),
         ContactSolution(tolerance=TOLERANCE, sweeps=SWEEPS),

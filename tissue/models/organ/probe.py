@@ -130,7 +130,7 @@ class CylinderProbe(ProbeShape):
 
 @dataclass(frozen=True, eq=False)
 class ShellProbe(ProbeShape):
-    """Tool of any shape, as points on its surface.
+    """Tool of any shape, represented by points on its surface.
 
     The distance between the points should be at most the length of the mesh edges of the organ.
 
@@ -166,7 +166,7 @@ class ShellProbe(ProbeShape):
             A surface file, see `meshes.surfaces.triangle_files`, or a trimesh mesh. The origin of
             the mesh is the tip, and the z axis of the mesh runs to the shank.
         points
-            Approximate number of points. A tick projects every point onto the organ.
+            Approximate number of points. In every tick, each point is projected onto the organ.
         scale
             Length of one unit of the mesh [m]; 1e-3 for millimetres.
 
@@ -206,7 +206,7 @@ class ShellProbe(ProbeShape):
         return float(np.linalg.norm(self.points_m - [0.0, 0.0, height], axis=1).max()), height
 
     def distance(self, points_m: Array) -> Array:
-        """Return the signed distance of each point to the plane of its nearest shell point [m]."""
+        """Return the signed distance [m] of points to the tangent plane at their nearest point."""
         from scipy.spatial import cKDTree
 
         _, nearest = cKDTree(self.points_m).query(points_m)

@@ -9,7 +9,7 @@ from scipy.sparse import bsr_array
 from scipy.spatial import cKDTree
 
 from meshes.base.arrays import Array, Ints
-from meshes.base.cache import Kept
+from meshes.base.cache import RecentResults
 from meshes.base.errors import InputError, in_brackets
 from meshes.base.progress import Progress
 from meshes.tets.regions import faces_of
@@ -20,7 +20,7 @@ from tissue.fem.solvers.held_body import HeldBody, held_nodes
 from tissue.fem.space import Space
 from tissue.materials.hyperelasticity import Hyperelastic
 from tissue.materials.prony import Prony
-from tissue.models.organ.compliance import CompliancePath, Factor
+from tissue.models.organ.compliance import ComplianceMethod, Factor
 from tissue.models.organ.probe import ProbeShape
 
 CONDENSING = "condensing the compliance to the surface that can be touched"
@@ -52,8 +52,8 @@ class ToolPath:
 def _touchable_patch(space: Space, tool: ToolPath) -> tuple[Ints, Ints]:
     """Return surface nodes near a tool's path, and the triangles between these nodes.
 
-    The nodes have shape (t,), the triangles (f, 3). The triangles are indices into
-    the array of nodes.
+    The nodes are an array of shape (t,), and the triangles an array of shape (f, 3). The triangles
+    are indices into the array of nodes.
     """
     triangles = linear_triangles(space.faces)
     centres = space.nodes_m[triangles].mean(axis=1)
@@ -88,8 +88,8 @@ def linear_triangles(faces: Ints) -> Ints:
     return faces[:, parts].reshape(-1, 3)
 
 
-_spaces: Kept[Space] = Kept(2)
-_patches: Kept[tuple[Ints, Ints]] = Kept(2)
+_spaces: RecentResults[Space] = RecentResults(2)
+_patches: RecentResults[tuple[Ints, Ints]] = RecentResults(2)
 """Cached surface nodes and triangles near a tool's path, keyed by mesh, order, tool and path.
 
 The cache saves time in a study in which every trial presses the same mesh.
@@ -128,12 +128,12 @@ class OrganLaw:
     Attributes
     ----------
     law
-        Hyperelastic law of a cell with the factor 1.
+        Hyperelastic law of a cell whose entry in ``cell_factors`` is 1.
     cell_factors
-        Factor of the law's moduli in each cell, shape (m,).
+        Factor by which the law's moduli are multiplied in each cell, shape (m,).
     interval_s
         Time between two solutions of the law [s]; 0 for an organ that is solved only by
-        `LiverModel.converge`.
+        `OrganModel.converge`.
     region_m
         Radius around the contact within which the law applies [m]. Outside this radius the organ is
         linear.
@@ -212,7 +212,7 @@ class SoftOrgan:
 
     @cached_property
     def membrane(self) -> bsr_array | None:
-        """Stiffness of the capsule [N/m]; None without a capsule."""
+        """Stiffness of the capsule [N/m]; None if the organ has no capsule."""
         if self.capsule is None:
             return None
         return self.capsule.stiffness(self.space, self.space.faces)
@@ -243,11 +243,11 @@ class SoftOrgan:
         return Factor(self.body, np.unique(self.space.faces))
 
     def expect(self, near_m: Array, within_m: float) -> None:
-        """Request a stiffness factor that contains the compliance of the surface near some points.
+        """Request a stiffness factorisation that contains the surface compliance near some points.
 
         `near_m` are the points [m], shape (k, 3), and `within_m` is the largest distance of a node
-        from a point. The request has no effect if the factor was computed before. A press at
-        another place needs additional back-substitutions before its first step.
+        from a point. The request has no effect if the factor was computed before. If a tool presses
+        at another place, additional back-substitutions are needed before its first step.
         """
         surface = np.unique(self.space.faces)
         near = cKDTree(near_m).query(self.space.nodes_m[surface])[0] <= within_m
@@ -255,7 +255,7 @@ class SoftOrgan:
 
     @cached_property
     def rest(self) -> tuple[Array, Array]:
-        """Nodal load of the weight [N] and displacement under this load [m], each of shape (n, 3).
+        """Nodal forces of gravity [N] and the resulting displacement [m], each of shape (n, 3).
 
         If no density was given, load and displacement are zero.
         """
@@ -268,8 +268,8 @@ class SoftOrgan:
     def touchable(self, tool: ToolPath) -> tuple[Ints, Ints]:
         """Return surface nodes near a tool's path, and the triangles between these nodes.
 
-        The nodes have shape (t,), the triangles (f, 3). The triangles are indices into the array of
-        nodes.
+        The nodes are an array of shape (t,), and the triangles an array of shape (f, 3). The
+        triangles are indices into the array of nodes.
 
         Raises
         ------
@@ -293,12 +293,13 @@ class SoftOrgan:
         return self.factor.compliance_between(nodes)
 
     def compliance(
-        self, touchable: Ints, path: CompliancePath | None, *, basis_size: int, report: Progress
+        self, touchable: Ints, method: ComplianceMethod | None, *, basis_size: int, report: Progress
     ) -> Array:
         """Return the compliance of t touchable nodes [m/N], shape (3t, 3t).
 
-        If `path` is None, columns of the compliance are computed from the organ's factor and stored
-        for the next tool. `basis_size` is the number of basis vectors for the path ``reduced``.
+        If `method` is None, columns of the compliance are computed from the factorised stiffness
+        and stored for the next tool. `basis_size` is the number of basis vectors if `method` is
+        ``reduced``.
 
         Raises
         ------
@@ -306,9 +307,9 @@ class SoftOrgan:
             If the compliance would not fit into memory.
         """
         report(CONDENSING, 0.0)
-        if path is None:
+        if method is None:
             return self.compliance_between(touchable)
-        if path == "reduced":
+        if method == "reduced":
             return reduced_compliance_m_N(self.factor.solver, touchable, basis_size)
         self.factor.expect(touchable)
         return surface_compliance_m_N(

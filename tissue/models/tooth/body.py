@@ -160,7 +160,7 @@ class ParticleBody:
     particles
         Particles of the body.
     grid
-        Cells that hold all particles, from :meth:`HexGrid.around`.
+        Grid, from :meth:`HexGrid.around`, whose cells together hold all particles.
     supports, springs
         Supports of the grid's nodes, and springs that connect points in the grid's cells to the
         ground. A spring is removed together with the cell that holds its point.
@@ -176,7 +176,7 @@ class ParticleBody:
     cells
         Stiffness of the cells.
     carrying
-        True for nodes of a cell that carries load, bool, shape (n,).
+        Mask of the nodes of cells that carry load, shape (n,).
     displacement_m
         Last solution for the displacement [m], shape (n, 3). The next solution starts from it.
     """
@@ -221,7 +221,7 @@ class ParticleBody:
         return self._particles_in(self._is_debris)
 
     def set_remaining(self, particles: Integers, steps: Integers) -> None:
-        """Set the remaining fractions of some particles, in steps of 1/65535.
+        """Set the remaining volume fractions of some particles, in units of 1/65535.
 
         ``particles`` are indices into the particles in the order in which the caller passed them.
         `update` applies the change to the stiffness.
@@ -235,7 +235,7 @@ class ParticleBody:
     def update(self) -> Change:
         """Update stiffness, unsupported cells and preconditioner after particles have lost volume.
 
-        The stiffness is summed again only for cells with changed particles.
+        The stiffness is computed again only for cells with changed particles.
         """
         touched = np.flatnonzero(self._touched).astype(np.int32)
         self._touched[touched] = False
@@ -287,7 +287,7 @@ class ParticleBody:
         point_m
             A point, shape (3,), or points, shape (k, 3) [m].
         force_N
-            The force at each point [N], with the shape of the points.
+            Force at each point [N], with the same shape as `point_m`.
         """
         live = np.flatnonzero(self.cells.live)
         points = np.atleast_2d(point_m)
@@ -354,15 +354,15 @@ class ParticleBody:
         estimated as the larger of two values. The first value is ``sqrt(r . B r)``, with the
         residual r and the preconditioner B. The second value is ``sqrt(r . D^-1 r / 24)``, with the
         diagonal D of the stiffness K. The second value is a lower bound of the error, because the
-        24 eigenvalues of ``D^-1 K`` of a cell are not negative and their sum is 24. The second
-        value also detects a load along a motion without resistance, because the preconditioner
-        ignores this motion.
+        24 eigenvalues of ``D^-1 K`` of a cell are not negative and their sum is 24. The first value
+        misses a load along a motion without resistance, because the preconditioner ignores this
+        motion. The second value detects such a load.
 
         Parameters
         ----------
         load_N
-            Forces at the nodes [N], shape (n, 3). The support carries a force in the direction of a
-            held component.
+            Forces at the nodes [N], shape (n, 3). Forces along displacement components that a
+            support holds are carried by the support.
         tolerance
             Allowed relative error in the energy norm. The relative error of the stress, averaged
             over the whole body, is about as large.

@@ -59,7 +59,7 @@ a standard deviation of 1.5 voxels, which is cut off at four standard deviations
 
 @dataclass(frozen=True)
 class SolveRecord:
-    """Duration and outcome of one solution for the stress."""
+    """Duration and outcome of one stress computation."""
 
     time_s: float
     iterations: int
@@ -169,7 +169,7 @@ class StressField:
     def remove(
         self, voxels: Integers, steps: Integers, *, origin_m: Array, spacing_m: float
     ) -> None:
-        """Reduce the particles by the volume that the finer voxels lost by drilling.
+        """Reduce the particles by the volume that drilling removed from a finer voxel grid.
 
         Parameters
         ----------
@@ -195,7 +195,7 @@ class StressField:
         self.body.set_remaining(touched, np.rint(share * FULL_STEPS).astype(np.uint16))
 
     def solve(self, time_s: float, force_N: Array, point_m: Array) -> Frame:
-        """Solve for displacement and stress under a force on the tooth at a point.
+        """Solve for displacement and stress while a force acts on the tooth at a point.
 
         The iterations start from a guess that is computed from earlier solutions. The result is
         also added to `series`.

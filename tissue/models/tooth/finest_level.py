@@ -43,13 +43,13 @@ eigenvalue is 1.25 times the assumed value.
 class FinestLevel:
     """Multigrid smoothing on the finest grid, in single precision and with SIMD instructions.
 
-    On cells in strips (groups of eight cells), the smoother ignores the springs of the ligament.
-    The stiffness of these springs is below a hundredth of the stiffness of their cells, and the
-    coarser grids include the springs. A smoother with the springs would save no iteration in the
-    scenes with a molar and with caries. With a ligament 100 times as stiff, it would save one of
-    ten iterations. The position of every particle is used without approximation. If particles were
-    moved to the centres of eight equal cubes of their cell, a molar on a rotated grid would need 31
-    to 44 iterations instead of 14 to 15.
+    For cells that are grouped in strips of eight, the smoother ignores the ligament springs. The
+    stiffness of these springs is below a hundredth of the stiffness of their cells, and the coarser
+    grids include the springs. In the scenes with a molar and with caries, a smoother with the
+    springs would need equally many iterations. With a ligament 100 times as stiff, it would save
+    one of ten iterations. The position of every particle is used without approximation. If
+    particles were moved to the centres of eight equal cubes of their cell, a molar on a rotated
+    grid would need 31 to 44 iterations instead of 14 to 15.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class FinestLevel:
         run_once(node_diagonals, len(nodes), inputs, outputs)
 
     def bound_eigenvalues(self) -> None:
-        """Estimate the largest eigenvalue of D^-1 K: `MARGIN` times the result of the power method.
+        """Estimate the largest eigenvalue of D^-1 K as `MARGIN` times the power method's result.
 
         D is the diagonal of the stiffness K. The stored inverse of D is divided by this estimate.
         """

@@ -40,8 +40,8 @@ class HexGrid:
     node_place
         Integer position of each node in the grid, int32, shape (n, 3).
     cell_nodes
-        Nodes of each cell, int32, shape (c, 8). Corner a = 4 i + 2 j + k lies at (i, j, k) times
-        the edge from the lowest corner of the cell.
+        Nodes of each cell, int32, shape (c, 8). Corner a = 4 i + 2 j + k is displaced from the
+        lowest corner of the cell by (i, j, k) times the edge.
     """
 
     origin_m: Array
@@ -164,15 +164,15 @@ class HexGrid:
     def locate(self, position_m: Array) -> tuple[Int32s, Array]:
         """Return the cell that holds each point, and the position of the point in that cell.
 
-        The cells have shape (n,); -1 means that no cell holds the point. The positions are 0 to 1
-        along each edge of the cell, shape (n, 3).
+        The indices of the cells have shape (n,); -1 means that no cell holds the point. The
+        positions, shape (n, 3), are coordinates from 0 to 1 along the edges of the cell.
         """
         scaled = (np.atleast_2d(position_m) - self.origin_m) / self.edge_m
         place = np.floor(scaled)
         return self.find_cells(place.astype(np.int64)), scaled - place
 
     def coarse(self) -> tuple["HexGrid", Int32s]:
-        """Return a grid with twice the edge, and the coarse cell that holds each cell of this grid.
+        """Return the grid with twice the cell edge, and the coarse cell that contains each cell.
 
         The indices of the coarse cells are int32, shape (c,).
         """
@@ -337,9 +337,9 @@ class PointSprings:
     def by_cell(self, grid: HexGrid) -> tuple[Int32s, Array]:
         """Return the m cells that hold springs, and the stiffness of the springs in each cell.
 
-        The cells are int32, shape (m,). The stiffness is the sum of ``N_a N_b S`` over the springs
-        of a cell, with the shape functions N of corners a and b. The 36 blocks with a <= b have
-        shape (m, 36, 3, 3).
+        The indices of the cells are int32, shape (m,). The stiffness is the sum of ``N_a N_b S``
+        over the springs of a cell, with the shape functions N of corners a and b. The 36 blocks
+        with a <= b have shape (m, 36, 3, 3).
         """
         cell, place = grid.locate(self.position_m)
         order = np.argsort(cell, kind="stable")
@@ -362,11 +362,11 @@ def bed_stiffness(
 ) -> tuple[float, float]:
     """Return the stiffness of a thin bonded layer, across and along the layer [N/m3].
 
-    The layer is bonded on both sides. A layer that is much thinner than wide cannot bulge at its
-    edges. The stiffness per area is then a modulus divided by the thickness. Across the layer, the
-    modulus is the confined modulus E (1 - v) / ((1 + v) (1 - 2 v)). Along the layer, it is the
-    shear modulus. Such a layer is a Winkler foundation. The relative error is of the order of
-    thickness divided by width.
+    The layer is bonded on both sides. A layer cannot bulge at its edges if its thickness is much
+    smaller than its width. The stiffness per area is then a modulus divided by the thickness.
+    Across the layer, the modulus is the confined modulus E (1 - v) / ((1 + v) (1 - 2 v)). Along the
+    layer, it is the shear modulus. Such a layer is a Winkler foundation. The relative error is of
+    the order of thickness divided by width.
     """
     confined = (
         modulus_Pa * (1.0 - poisson_ratio) / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
@@ -383,7 +383,7 @@ def bed_springs(
     across_N_m3: float,
     along_N_m3: float,
 ) -> tuple[PointSprings, float]:
-    """Return springs at the faces between a tooth's voxels and its bed, the ligament.
+    """Return springs at the faces between the voxels of a tooth and of its bed (the ligament).
 
     The springs act at the centres of the tooth's voxels. The spring of a face has the stiffness ``A
     (k_t I + (k_n - k_t) n n^T)``, with the stiffness of the bed across the surface, k_n, and along

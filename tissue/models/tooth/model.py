@@ -42,7 +42,7 @@ class ToothModel(MilledTissue):
     voxels that the pulp filled at the start. Once the bur is in dentin, the smallest distance so
     far is the smallest thickness of the remaining dentin. Before that, the distance also includes
     enamel and air. The error of the distance is half a voxel. If the voxels contain no pulp, the
-    distance is not measured. The pulp is then farther from the bur than the margin of voxels around
+    distance is not measured. The pulp is then outside the voxels, which extend by a margin beyond
     the region that the bur can reach.
 
     If stress is computed, the tooth moves in every tick as a rigid body under the force, with the
@@ -128,7 +128,7 @@ class ToothModel(MilledTissue):
         self._measure_pulp(motion)
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Return force and torque on the bur, and the values of the tooth's own trace columns."""
+        """Return force and torque on the bur, and the values that the tooth adds to the trace."""
         response = self.milling.respond(motion)
         if response is not self._response:
             self._response = response
@@ -154,8 +154,8 @@ class ToothModel(MilledTissue):
         Raises
         ------
         InputError
-            If stress or heat is computed. The state of the stress is in another process, and the
-            state of the heat is on a grid that is not copied.
+            If stress or heat is computed. The state of the stress computation is in another
+            process, and the temperature grid is not copied.
         """
         if self.stress is not None or self.heat is not None:
             raise InputError(
@@ -173,7 +173,7 @@ class ToothModel(MilledTissue):
 
     @property
     def scheduling(self) -> str:
-        """Method, priority and cores of the stress computation; an empty text without stress."""
+        """Method, priority and cores of the stress computation; empty if stress is not computed."""
         return f"stress: {self.stress.scheduling}" if self.stress is not None else ""
 
     @property
@@ -199,7 +199,7 @@ class ToothModel(MilledTissue):
             self._await()
 
     def start_background(self, time_s: float, motion: ToolMotion) -> None:
-        """Add the tick to the heat computation.
+        """Add the heat of the present tick to the heat computation.
 
         At the end of an interval, begin a stress computation from a copy of the changed voxels.
         """
@@ -255,7 +255,7 @@ class ToothModel(MilledTissue):
             return
         if record.debris_m3 > 0.0:
             self.notices.append(
-                f"{1e9 * record.debris_m3:.3g} mm3 of tooth hang on nothing and are taken as debris"
+                f"{1e9 * record.debris_m3:.3g} mm3 of the tooth are cut loose and count as debris"
             )
         if record.outcome != "CONVERGED":
             self.notices.append(
@@ -265,12 +265,12 @@ class ToothModel(MilledTissue):
             self._late_reported = True
             self.notices.append(
                 f"solving the stress took {record.solve_s:.2f} s, {SLOW} of "
-                f"{self._interval_s:g} s: the run waits for "
-                "it, a device would not"
+                f"{self._interval_s:g} s: this run waits for "
+                "the solution, a run with a real device does not"
             )
 
     def finish(self) -> None:
-        """Complete the carving that was postponed to later ticks, and the last stress solution."""
+        """Complete the postponed carving and the last computations of stress and heat."""
         self._await()
         if self.stress is not None and not self._stress_lost:
             try:
@@ -308,7 +308,7 @@ class ToothModel(MilledTissue):
         """
         if not (self._pulp_near and self._reports_pulp):
             return
-        self.milling.take(motion)
+        self.milling.send_pose(motion)
         self._clearance()
         self._nearest.pull()
         self._report_pulp(float(np.minimum.reduce(self._nearest.host)))
@@ -316,7 +316,7 @@ class ToothModel(MilledTissue):
             self._response.measures[0] = 1e3 * min(self._least_m, self._reach_m)
 
     def stop_reporting(self) -> None:
-        """Stop updating the smallest distance to the pulp, and stop reporting exposures."""
+        """Stop updating the smallest distance to the pulp, and stop reporting pulp exposures."""
         self._reports_pulp = False
 
     def _report_pulp(self, near_m: float) -> None:

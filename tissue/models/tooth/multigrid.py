@@ -160,9 +160,9 @@ class GridLevel:
         )
 
     def update(self, changed: Int32s) -> Int32s:
-        """Update the stiffness after a change of some cells of the finer level.
+        """Update the stiffness after the stiffness of some cells of the finer level has changed.
 
-        Return the indices of the cells of this level that contain these cells.
+        Return the indices of this level's cells that contain the changed cells.
         """
         cells = np.unique(self._parent[changed])
         inputs = [*self._projected, cells]
@@ -193,7 +193,7 @@ class GridLevel:
 
 
 class GridHierarchy:
-    """Preconditioner of a body's stiffness: one V-cycle over grids whose edge doubles.
+    """Preconditioner of a body's stiffness: one V-cycle over grids with doubling cell edges.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ class GridHierarchy:
         self._stale = True
 
     def update(self, changed: Int32s) -> None:
-        """Update all grids after a change of some cells of the finest grid.
+        """Update all grids after the stiffness of some cells of the finest grid has changed.
 
         Call `refresh` to update the factorisation of the coarsest grid.
         """

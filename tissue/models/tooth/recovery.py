@@ -67,7 +67,7 @@ The error is of second order in the cell edge, like the error of the whole metho
 
 
 class StressRecovery:
-    """Mean stress around points, averaged over near particles of the layer of the point.
+    """Mean stress around each point, averaged over the near particles of the point's layer.
 
     The weight of a particle is its remaining volume times the `ball_weight` of its distance from
     the point. The weight is zero if the particle's cell carries no load. Particles of different
@@ -195,7 +195,7 @@ def support_compliance(
     reference_m: Array,
     tolerance: float = 1e-4,
 ) -> SupportCompliance:
-    """Return the compliance of a part of a body: the nodes with nonzero ``weights``, shape (n,).
+    """Return the compliance of the part of a body whose nodes have nonzero ``weights``.
 
     The wrench q is distributed to the nodes as the forces ``f = w R G^-1 q``. Here w is the weight
     of a node, R has the unit rigid motions at this node as columns, and ``G = sum w R^T R``. The
@@ -207,7 +207,7 @@ def support_compliance(
     body
         The body, with its supports.
     weights
-        Weight of each node, such as the volume of material around the node.
+        Weight of each node, shape (n,), such as the volume of material around the node.
     reference_m
         Reference point of torque and rotation [m], shape (3,).
     tolerance
@@ -239,7 +239,7 @@ solution. Eigenvalues below the threshold are numerical errors of these solution
 
 
 class FirstGuess:
-    """First guess for a solver: combination of earlier solutions with the smallest energy error.
+    """First guess for a solver: earlier solutions, combined so that the energy error is smallest.
 
     For solutions u_i of loads f_i, the coefficients c_j solve ``(u_i . f_j) c_j = u_i . f``, with
     the new load f. Iterations are then needed only for the part of the new solution that earlier
@@ -250,8 +250,8 @@ class FirstGuess:
     Parameters
     ----------
     kept
-        Solutions [m] that are always kept, and their loads [N], each of shape (n, 3): the six
-        solutions of the support compliance.
+        The six solutions [m] of the support compliance, which are always kept, and their loads [N],
+        each of shape (n, 3).
     recent
         Number of latest solutions that are kept in addition. While a body is cut, the solver needs
         3 iterations with two recent solutions, and 5 iterations with six, because older solutions
@@ -272,7 +272,7 @@ class FirstGuess:
     def add(self, displacement_m: Array, load_N: Array) -> None:
         """Store a solution [m] and its load [N], each of shape (n, 3).
 
-        The oldest solution beyond the number `recent` is discarded.
+        If more than `recent` solutions are stored, the oldest is discarded.
         """
         if self._most == self._fixed or not load_N.any():
             return

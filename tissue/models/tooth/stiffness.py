@@ -32,9 +32,10 @@ class CellStiffness:
     """Stiffness of every cell, summed over the particles of the cell.
 
     The sum is computed by :mod:`kernels.particle_stiffness`. A cell is regular if each particle
-    lies at the centre of one of eight equal cubes of the cell. Products with regular cells are
-    computed over strips (groups of eight cells), from weights of the cubes. Products with other
-    cells, and with springs, are computed from the packed stiffness of single cells.
+    lies at the centre of one of eight equal cubes of the cell. For regular cells, the product with
+    a vector is computed over strips (groups of eight cells), from weights of the cubes. For other
+    cells and for springs, the product is computed cell by cell, from a packed stiffness (without
+    its symmetric half).
 
     Parameters
     ----------
@@ -43,8 +44,8 @@ class CellStiffness:
     inner_strength
         Strength of the stabilisation of cells with few particles. The inner stiffness is the
         stiffness of a full cell minus the stiffness of its centre point. `inner_strength` times the
-        inner stiffness is added to a cell with a single particle in its centre. A cell with more
-        particles gets less.
+        inner stiffness is added to a cell with a single particle in its centre. Less is added to a
+        cell with more particles.
     springs
         Springs to the ground at points of the cells; default none.
     cores
@@ -53,8 +54,8 @@ class CellStiffness:
     Attributes
     ----------
     order
-        Caller's index of each particle, in the order sorted by cell, shape (p,). ``rank`` is the
-        inverse permutation.
+        Caller's index of each particle, sorted by cell, shape (p,). ``rank`` is the inverse
+        permutation.
     cell_start
         Position of the first particle of each cell in the sorted order, int32, shape (c + 1,).
     particle_cell
@@ -167,7 +168,7 @@ class CellStiffness:
 
     @property
     def remaining(self) -> NDArray[np.uint16]:
-        """Remaining fraction of each particle in the sorted order, in steps of 1/65535."""
+        """Remaining fraction of each particle, sorted by cell, in units of 1/65535."""
         return self.remaining_on.numpy()
 
     @property
@@ -181,7 +182,7 @@ class CellStiffness:
         return self.live_on.numpy()
 
     def set_remaining(self, rows: Integers, steps: NDArray[np.uint16]) -> None:
-        """Set the remaining fractions of particles, given by their rows in the sorted order.
+        """Set the remaining fractions of some particles; `rows` are indices after sorting by cell.
 
         `update` applies the change to the cells of these particles.
         """

@@ -41,8 +41,9 @@ class Drilled:
     time_s
         Time of the state [s].
     rows, left
-        Row numbers, shape (n,), of the bricks (blocks of voxels) that lost material since the last
-        input. Remaining fractions of the voxels in these bricks, 65535 = full, shape (n, 512).
+        Rows, in the brick store, of the bricks (blocks of voxels) that lost material since the last
+        input, shape (n,). Remaining fractions of the voxels in these bricks, 65535 = full, shape
+        (n, 512).
     force_N, point_m
         Force on the tooth [N] and its point of action [m], shape (3,) each.
     """
@@ -77,7 +78,7 @@ class Bricks:
 
 
 class InlineStressSolver:
-    """Stress solver in this process; `wait` computes the stress.
+    """Stress solver that runs in the caller's process, when `wait` is called.
 
     Parameters
     ----------

@@ -22,13 +22,13 @@ class StripLayout:
     Attributes
     ----------
     slots
-        Length of a lane vector. ``slot`` is the position of each node in a lane vector, int32,
-        shape (n,).
+        Length of a lane vector, see `LaneVector`. ``slot`` is the position of each node in a lane
+        vector, int32, shape (n,).
     strip
         Strip of each cell, and lane of the cell in the strip, int32, shape (c, 2).
     start, base
-        First strip of each pencil of cells, shape (p + 1,), and slots of the four nodes at the
-        lower end of each strip, shape (s, 4), int32.
+        First strip of each pencil of cells, shape (p + 1,). Positions in a lane vector of the four
+        lowest nodes of each strip, shape (s, 4). Both arrays are int32.
     colours
         Groups of pencils of cells, as int32 arrays. Two pencils of a group share no node.
     """
@@ -71,7 +71,7 @@ class LaneVector:
     single
         Single values, shape (3, slots).
     from_each
-        The eight numbers that begin at each slot, shape (3, slots - 7).
+        For each slot, its value and the next seven values, shape (3, slots - 7).
     by_eight
         Groups of eight slots without overlap, shape (3, slots / 8).
     """
@@ -97,7 +97,7 @@ class LaneVector:
 
 
 class StripProduct:
-    """Recorded kernel launch: product of the stiffness of strips and a vector.
+    """Recorded kernel launch that multiplies a vector by the stiffness of the strips.
 
     Parameters
     ----------

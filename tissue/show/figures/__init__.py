@@ -18,8 +18,8 @@ def draw_pictures(run: "Run", folder: Path, kind: str = "png") -> list[str]:
     ``force_torque`` is drawn for every run. The other pictures depend on the run:
 
     - ``bone_before_after`` for a tissue of voxels,
-    - ``section`` and ``force_depth`` for a rotating tool in voxels of several layers, if the tissue
-      model adds columns to the trace, as the model of a tooth does,
+    - ``section`` and ``force_depth`` for a rotating tool in voxels with several layers, if the
+      tissue model (such as the tooth model) adds trace columns,
     - ``section`` also for a scene with protected structures (scene key ``keep_clear``),
     - ``press`` and ``held`` for a run with computed fields, such as the displacement of an organ,
     - ``played`` for a run with a device,

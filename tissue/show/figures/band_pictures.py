@@ -43,7 +43,7 @@ WORDS = {
 
 @styled
 def draw_band(times_s: Array, nominal: Array, quantiles: Array, path: Path, *, title: str) -> None:
-    """Draw force and torque on the tool over time with their uncertainty bands.
+    """Draw force and torque on the tool over time, with uncertainty bands.
 
     Magnitude and components are drawn in separate panels. Torque is left out if it is zero.
 

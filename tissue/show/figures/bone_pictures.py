@@ -74,7 +74,7 @@ def draw_before_after(run: Run, path: Path) -> str | None:
     None, or the reason why the picture could not be drawn.
     """
     depth = depth_map(run)
-    volume, remaining, plane = _opened(run, depth)
+    volume, remaining, plane = _drawn_bone(run, depth)
     # a surface is drawn where voxels are half full
     if min(int(volume.fraction.max()), int(remaining.max())) < HALF:
         return "no bone is left to show"
@@ -144,7 +144,7 @@ def draw_before_after(run: Run, path: Path) -> str | None:
     return draw_shaded(make, path, annotate, margins_px=HEIGHTS_PX, names=names)
 
 
-def _opened(run: Run, depth: DepthMap) -> tuple[VoxelVolume, Bytes, Plane | None]:
+def _drawn_bone(run: Run, depth: DepthMap) -> tuple[VoxelVolume, Bytes, Plane | None]:
     """Return the bone before and after a run, and the plane at which it is drawn cut open.
 
     The plane is None if the bone is drawn whole.

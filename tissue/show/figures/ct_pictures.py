@@ -56,8 +56,8 @@ class Marks:
     Attributes
     ----------
     centre_mm
-        Position [mm, LPS] of the site where the tool works. Without a site, the point at which
-        slices intersect, such as the middle of the bone; None if there is no such point.
+        Position [mm, LPS] of the site where the tool works. Without a site, it is the point where
+        the slices intersect (for example, the middle of the bone), or None.
     normal
         Outward normal of the bone's surface at the site; None if there is no site.
     points_mm
@@ -119,8 +119,8 @@ def draw_ct_slices(
     marks
         Site and path to mark. The slices intersect at `marks.centre_mm`.
     window_HU
-        CT values [HU] that are drawn as black and as white. For an image in other units, the 1 %
-        and 99.8 % quantiles of its values are used.
+        Two CT values [HU]: the first is drawn black, the second white. For an image in other units,
+        the 1 % and 99.8 % quantiles of its values are used.
     """
     from matplotlib.collections import LineCollection
     from matplotlib.lines import Line2D
@@ -184,7 +184,7 @@ def mesh_of(vertices_mm: Array, faces: Ints) -> "pyvista.PolyData":
 
 
 def outline_of(image: Image, mask: Flags) -> "pyvista.PolyData":
-    """Return the surface [mm, LPS] around the voxels of an image that a mask contains."""
+    """Return the surface [mm, LPS] around the voxels that a mask selects in an image."""
     import pyvista
 
     grid = pyvista.ImageData(
@@ -199,7 +199,7 @@ AROUND_ORGAN_MM = 10.0
 
 
 def draw_ct_organ(image: Image, path: Path, *, masks: Mapping[str, Flags], mesh: TetMesh) -> None:
-    """Draw CT slices through the middle of an organ's smallest part, with outlines.
+    """Draw CT slices, with outlines, through the middle of the organ's smallest part.
 
     The outlines show the mesh of the organ and the segmented parts of the organ.
 
@@ -224,7 +224,7 @@ def draw_ct_organ(image: Image, path: Path, *, masks: Mapping[str, Flags], mesh:
 
 
 def middle_of(image: Image, mask: Flags) -> Array:
-    """Return the mean position [mm, LPS] of the voxels of an image that a mask contains."""
+    """Return the mean position [mm, LPS] of the voxels that a mask selects in an image."""
     places = np.argwhere(mask).mean(axis=0)
     return np.asarray(np.array(image.origin_mm) + np.array(image.spacing_mm) * places)
 
@@ -253,7 +253,7 @@ FRONT = (0.3, -1.0, 0.25)
 def draw_ct_bone(
     surface: Surface, path: Path, marks: Marks, *, density: Image | None, title: str
 ) -> str | None:
-    """Draw a bone from two directions to a picture file.
+    """Write a picture file that shows a bone from two directions.
 
     Parameters
     ----------
@@ -330,7 +330,7 @@ def _painted(surface: Surface, density: Image | None) -> "pyvista.PolyData":
 
 @styled
 def draw_path_depth(found: PathDepth, path: Path, *, title: str) -> None:
-    """Draw the depth of a tool path below a bone's surface against the length of the path."""
+    """Plot the depth of a tool path below a bone's surface over the distance along the path."""
     chart, (axes,) = panelled(title, (6.4, 3.0))
     steps_mm = np.linalg.norm(np.diff(found.points_mm, axis=0), axis=1)
     along_mm = np.concatenate([[0.0], np.cumsum(steps_mm)])

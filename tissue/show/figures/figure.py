@@ -85,7 +85,7 @@ def panelled(
     rows, columns, options
         As for `matplotlib.figure.Figure.subplots`.
     layout
-        Layout engine of matplotlib; ``compressed`` for panels of a fixed aspect ratio.
+        Layout engine of matplotlib. Use ``compressed`` for panels with a fixed aspect ratio.
     """
     chart = figure(*size_in)
     chart.set_layout_engine(layout)
@@ -103,8 +103,8 @@ def legend_above(axes: "Axes", columns: int) -> None:
 def save(chart: "Figure", path: Path) -> None:
     """Write a figure as png, svg or pdf, according to the suffix of the file.
 
-    Equal figures give files with equal bytes. In SVG and PDF files, lines and text are vectors. 3D
-    drawings and images in these files have `VECTOR_DPI` pixels per inch.
+    Writing the same figure twice gives identical files. In SVG and PDF files, lines and text are
+    vectors. 3D drawings and images in these files have `VECTOR_DPI` pixels per inch.
     """
     import matplotlib
 
@@ -124,7 +124,7 @@ def save(chart: "Figure", path: Path) -> None:
 
 
 def is_vector(path: Path) -> bool:
-    """Return True if the format of a file stores lines and text as vectors."""
+    """Return True if the file format stores lines and text as vectors."""
     return path.suffix in (".svg", ".pdf")
 
 
@@ -200,7 +200,7 @@ ANATOMICAL = {"glenoid": ("anterior", "superior", "lateral")}
 
 
 def axis_names(run: "Run") -> tuple[str, ...]:
-    """Return the names of the world axes, with their anatomical directions if known.
+    """Return the names of the world axes, each with its anatomical direction if known.
 
     For example, in a glenoid scene x is anterior, see `ANATOMICAL`.
     """
@@ -217,7 +217,7 @@ def axis_names(run: "Run") -> tuple[str, ...]:
 
 
 def torque_unit(torque_Nm: float) -> tuple[str, float]:
-    """Return the unit for a picture of torques up to `torque_Nm`, and the factor from N m."""
+    """Return the unit for plots of torques up to `torque_Nm`, and the factor that converts N m."""
     return ("mN·m", 1e3) if torque_Nm < SMALL_NM else ("N·m", 1.0)
 
 
@@ -236,8 +236,8 @@ def layer_colours(names: tuple[str, ...]) -> dict[str, tuple[float, float, float
 def field_colours(low: float, high: float) -> str:
     """Return the name of the colour map for a field with a given range.
 
-    A range that begins below 0 has the map `SIGNED`, a range that begins above 0 the map `STRESS`,
-    and a range that begins at 0 the map `OTHER`.
+    The map is `SIGNED` if the range begins below 0, `STRESS` if it begins above 0, and `OTHER` if
+    it begins at 0.
     """
     if low < 0.0:
         return SIGNED
@@ -245,7 +245,7 @@ def field_colours(low: float, high: float) -> str:
 
 
 def field_words(*names: str) -> str:
-    """Return the words that the labels of fields or trace columns share, followed by the unit.
+    """Return the words that several field or column labels have in common, followed by the unit.
 
     An example is ``von Mises / kPa``.
     """
@@ -255,7 +255,7 @@ def field_words(*names: str) -> str:
 
 
 def depth_limit(depth: "DepthMap") -> float:
-    """Return the upper end of the colour scale of removed depth [mm].
+    """Return the upper end [mm] of the colour scale for the removed depth.
 
     The upper end is the largest depth in the map, or 1 mm if nothing was removed.
     """

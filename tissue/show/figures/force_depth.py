@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Flags, Ints
+from tissue.models.needle.parameters import LEAST_COSINE
 from tissue.models.tissue_model import TICK_S
 from tissue.scene.coupling import WallAnatomy
 from tissue.scene.tool import Probe
@@ -21,22 +22,35 @@ from tissue.show.figures.figure import (
     save,
     styled,
 )
-from tissue.show.figures.force_time import FLICKER_S, spells
+from tissue.show.figures.force_time import FLICKER_S, constant_intervals
 from tissue.simulation.bone_surface import facing, tool_axes
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.run import Run
 from tissue.simulation.saved_fields import field_label
-from tissue.simulation.trace import NO_LAYER
+from tissue.simulation.trace import NO_LAYER, Table
 
 APPROACH_MM = 0.2
 """Height above the first contact at which a plot over depth begins [mm]; chosen for the plot."""
 
 
-def deepening_rows(coordinate_mm: Array, contact: Flags) -> Ints:
-    """Return the rows of the trace in which the tip is deeper than in all previous rows.
+def needle_travel_mm(trace: Table) -> Array:
+    """Return the travel of a needle's tip beyond the undeformed surface [mm], shape (rows,).
 
-    The rows start where the tip is `APPROACH_MM` above its position at the first contact. Rows of
-    sideways or upward motion are left out, so that each depth occurs only once.
+    The travel is measured along the needle, as in the events of a puncture. It is negative outside
+    the organ.
+    """
+    cosines = tool_axes(trace.quaternions())[:, 2]
+    # The model measures the height of a flatter needle outside the organ vertically.
+    cosines = np.where(cosines >= LEAST_COSINE, cosines, 1.0)
+    return -trace["tool_z_mm"] / cosines
+
+
+def deepening_rows(coordinate_mm: Array, contact: Flags) -> Ints:
+    """Return those rows of the trace in which the tip is deeper than in all previous rows.
+
+    The first row is the one in which the tip comes within `APPROACH_MM` of its position at the
+    first contact. Rows of sideways or upward motion are left out, so that each depth occurs only
+    once.
 
     Parameters
     ----------
@@ -60,11 +74,11 @@ def deepening_rows(coordinate_mm: Array, contact: Flags) -> Ints:
 
 @styled
 def draw_force_depth(run: Run, path: Path) -> str | None:
-    """Draw force and other values of the tissue over the depth of the tip.
+    """Draw force and other columns of the tissue model over the depth of the tip.
 
     Only the rows of `deepening_rows` are drawn, so that each depth occurs once. Shading shows the
-    layer with the largest contact area. The legend has the mean force of each layer, over all ticks
-    of the run in which this layer has the largest contact area.
+    layer with the largest contact area. For each layer, the legend gives the mean force over all
+    ticks in which this layer has the largest contact area.
 
     Parameters
     ----------
@@ -160,7 +174,7 @@ def _shade(run: Run, panels: NDArray[np.object_], depth: Array, rows: Ints, forc
     layers = run.trace["layer"]
     colours = layer_colours(run.volume.layer_names)
     look: dict[str, Any] = {"alpha": 0.28, "linewidth": 0.0}
-    for first, last, name in spells(layers[rows], shortest=round(FLICKER_S / TICK_S)):
+    for first, last, name in constant_intervals(layers[rows], shortest=round(FLICKER_S / TICK_S)):
         if name == NO_LAYER:
             continue
         for axes in panels:
@@ -211,13 +225,13 @@ def _inward(depth_mm: Array) -> Flags:
 
 @styled
 def draw_insertion(run: Run, path: Path) -> None:
-    """Draw the axial force on a needle over tip depth and over time, with marked punctures.
+    """Draw the axial force on a needle over tip travel and over time, and mark the punctures.
 
     The panel over time also shows the elastic, cutting and friction parts of the force.
     """
     trace = run.trace
     time = trace["time_s"]
-    depth = -trace["tool_z_mm"]
+    depth = needle_travel_mm(trace)
     axes_of_tool = tool_axes(trace.quaternions())
     force = np.einsum("ij,ij->i", trace.vectors("model_force", "N"), axes_of_tool)
     # inches: two panels of equal height
@@ -261,7 +275,7 @@ def draw_insertion(run: Run, path: Path) -> None:
             )
             over_time.axvline(when, color="0.4", linestyle=":", label=label, zorder=0)
             label = ""
-    over_depth.set_xlabel("depth of the tip below the resting surface / mm")
+    over_depth.set_xlabel("travel of the tip along the needle, from the undeformed surface / mm")
     over_depth.set_ylabel("axial force / N,\npositive drives it out")
     over_time.set(xlabel="time / s", ylabel="parts of the\naxial force / N")
     plain(panels)
@@ -283,7 +297,7 @@ LONGEST = 0.28
 
 @styled
 def draw_wall(run: Run, path: Path) -> None:
-    """Draw the paths of ball and haptic device at a virtual wall, and force over depth.
+    """Draw the paths of the ball and the haptic device at a virtual wall, and force over depth.
 
     The upper panel shows the paths in a section perpendicular to the wall. The lower panel shows
     the force.

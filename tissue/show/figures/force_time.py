@@ -20,7 +20,7 @@ from tissue.show.figures.figure import (
     torque_unit,
 )
 from tissue.simulation.bone_surface import tool_axes
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.run import Run
 from tissue.simulation.trace import NO_LAYER
 
@@ -44,8 +44,10 @@ would look like stripes.
 """
 
 
-def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, int, str]]:
-    """Return intervals of equal entries as (first index, index after the last entry, entry).
+def constant_intervals(
+    names: NDArray[np.generic], *, shortest: int = 1
+) -> list[tuple[int, int, str]]:
+    """Return intervals of equal consecutive entries as (first index, index after the last, entry).
 
     An interval with fewer entries than `shortest` is joined with the previous interval. If the
     first interval is too short, it is joined with the next interval.
@@ -68,7 +70,7 @@ def spells(names: NDArray[np.generic], *, shortest: int = 1) -> list[tuple[int, 
 
 
 def joined_events(events: list[tuple[float, str]]) -> list[tuple[float, str]]:
-    """Return events (time [s], text) without those that repeat a text within `FLICKER_S`.
+    """Return events (time [s], text) without repetitions of a text within `FLICKER_S`.
 
     Texts that differ only in numbers count as equal.
     """
@@ -85,7 +87,7 @@ def joined_events(events: list[tuple[float, str]]) -> list[tuple[float, str]]:
 def event_lines(events: list[tuple[float, str]]) -> list[str]:
     """Return a numbered line of text for each of the first `MOST_EVENTS` events.
 
-    If there are more events, an additional last line has the number of remaining events.
+    If there are more events, an additional last line gives the number of remaining events.
     """
     lines = [
         f"{i}   {time:.3f} s: {what}" for i, (time, what) in enumerate(events[:MOST_EVENTS], 1)
@@ -95,7 +97,7 @@ def event_lines(events: list[tuple[float, str]]) -> list[str]:
 
 
 def event_footnotes(events: list[tuple[float, str]]) -> list[str]:
-    """Return the text of `event_lines`, broken into lines that fit below a figure 8 inches wide."""
+    """Return the text of `event_lines`, wrapped to fit below a figure of 8 inches width."""
     return [
         piece
         for line in event_lines(events)
@@ -211,7 +213,7 @@ def _draw_path(axes: "Axes", run: Run) -> None:
     axes.set(ylabel="tip along\nits axis / mm", xlabel="time / s")
     colours = layer_colours(trace.layer_names)
     named: set[str] = set()
-    for first, last, name in spells(trace["layer"], shortest=round(FLICKER_S / TICK_S)):
+    for first, last, name in constant_intervals(trace["layer"], shortest=round(FLICKER_S / TICK_S)):
         if name == NO_LAYER:
             continue
         # one legend entry for each layer
@@ -258,10 +260,11 @@ SATURATED = "#F0E442"
 def draw_played(run: Run, path: Path) -> None:
     """Draw the forces at the device [N] and the positions of tool and device [mm] over time.
 
-    Shading marks the times at which the force is compressed into the range of the device.
+    Shading marks the times at which the force is compressed to fit into the force range of the
+    device.
 
-    A separate panel enlarges the interval with the largest change of force per millisecond in
-    contact.
+    A separate panel enlarges the interval with the largest change of force in one millisecond
+    during contact.
     """
     trace = run.trace
     held = run.scene.held

@@ -21,7 +21,7 @@ result. `tests/tissue/show/figures/test_layer_pictures.py` checks the length of 
 
 @dataclass(frozen=True)
 class Closest:
-    """Smallest distance between the tool and a structure to keep clear of.
+    """Smallest distance between the tool and a protected structure.
 
     Attributes
     ----------
@@ -30,10 +30,10 @@ class Closest:
     row
         Row of the trace with the smallest distance.
     points_mm
-        Nearest points of the tool and of the structure [mm], shape (2, 3). In an overlap, the first
-        point is the deepest point of the tool. The second point lies on the structure's surface, in
-        the direction in which the depth is measured. The length of the line between the points is
-        the magnitude of the distance.
+        Nearest points of the tool and of the structure [mm], shape (2, 3). If tool and structure
+        overlap, the first point is the tool's deepest point in the structure. The second point lies
+        on the structure's surface, in the direction in which the depth is measured. The length of
+        the line between the points is the magnitude of the distance.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Closest:
 
 
 def closest(run: Run) -> Closest | None:
-    """Return the smallest distance of a run between the tool and a protected structure.
+    """Return the smallest distance in a run between the tool and any protected structure.
 
     The result is None for a run without structures.
     """

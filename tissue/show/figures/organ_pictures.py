@@ -50,10 +50,10 @@ HEIGHTS_PX = 90, 150
 
 
 def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, str]:
-    """Return the frame (saved fields at one time) to draw, and a text with the reason.
+    """Return the frame (saved fields at one time) to draw, and a text that explains the choice.
 
-    With an inclusion in the organ, the frame with the smallest distance of the tool to the
-    inclusion is returned, otherwise the frame with the largest displacement. If nothing was
+    If the organ has an inclusion, the frame is the one with the smallest distance between tool and
+    inclusion. Otherwise the frame is the one with the largest displacement. If nothing was
     displaced, the frame is None.
     """
     pressed = [frame for frame in series.frames if _largest(frame) > 0.0]
@@ -71,7 +71,7 @@ def moment_of_press(series: FieldSeries, trace: Table) -> tuple[Frame | None, st
 
 
 def draw_press(run: Run, path: Path) -> str | None:
-    """Draw the deformed organ in the frame of `moment_of_press`, whole and cut open at the tool.
+    """Draw the deformed organ at the time from `moment_of_press`: whole, and cut open at the tool.
 
     The whole organ is coloured by displacement, and the section by von Mises stress. For a needle,
     both pictures show the section along the needle.
@@ -239,7 +239,7 @@ HELD_HEIGHTS_PX = 110, 80
 
 
 def draw_held(run: Run, path: Path) -> str | None:
-    """Draw the surface of an organ, coloured where it is fixed or can be touched by the tool.
+    """Draw the surface of an organ; colours mark where it is fixed and where the tool can touch it.
 
     A triangle is coloured if all its nodes are fixed, or if the tool can touch all its nodes.
 

@@ -25,8 +25,8 @@ def drawn_surface(mesh: "pyvista.DataSet", values: Singles) -> "pyvista.PolyData
     mesh
         Mesh of three-dimensional cells [mm].
     values
-        Values at the nodes, shape (nodes,) or (nodes, k). The boundary contains them as the point
-        array `SHOWN`.
+        Values at the nodes, shape (nodes,) or (nodes, k). The returned boundary contains the values
+        as the point array `SHOWN`.
     """
     body = mesh.copy(deep=False)
     body.clear_data()
@@ -57,9 +57,9 @@ def at_nodes(mesh: "pyvista.DataSet", name: str) -> Singles:
 def inclusions(corners: Floats, layer: NDArray[np.integer]) -> NDArray[np.intp]:
     """Return the indices of the cells of an inclusion, such as a nodule.
 
-    An inclusion is a layer whose bounding box lies inside the bounding box of the mesh. Of several
-    inclusions, the one with the fewest cells is returned. Without an inclusion, the result is
-    empty.
+    An inclusion is a layer whose bounding box lies strictly inside the bounding box of the mesh. Of
+    several inclusions, the one with the fewest cells is returned. Without an inclusion, the result
+    is empty.
 
     Parameters
     ----------

@@ -52,8 +52,8 @@ class Camera:
     Attributes
     ----------
     towards_eye, up
-        Direction to the camera, and direction that is upward in the picture, in the world frame and
-        perpendicular to each other.
+        Direction to the camera, and upward direction of the picture. Both are in the world frame
+        and perpendicular to each other.
     centre_mm
         Position [mm], in the world frame, of the middle of the picture.
     height_mm
@@ -70,7 +70,7 @@ class Camera:
 
     @classmethod
     def seeing(cls, points_mm: ArrayLike, towards_eye: ArrayLike, up: ArrayLike) -> "Camera":
-        """Return an upright camera that sees all points from a direction."""
+        """Return an upright camera that looks from a given direction and sees all points."""
         towards = np.array(towards_eye) / np.linalg.norm(towards_eye)
         upright = np.asarray(up) - (np.asarray(up) @ towards) * towards
         upright /= np.linalg.norm(upright)
@@ -119,7 +119,7 @@ def paint(surface: "pyvista.PolyData", colours: Array) -> "pyvista.PolyData":
 
 @dataclass(frozen=True)
 class Shaded:
-    """Figure with renderings side by side, to which annotations can be added.
+    """Figure with renderings side by side, which can be annotated.
 
     Attributes
     ----------
@@ -260,7 +260,7 @@ LENGTHS_MM = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
 def round_length(longest_mm: float) -> float:
-    """Return the largest of the round lengths 1, 2, 5, 10, ... [mm] that is not above a limit."""
+    """Return the largest length among 1, 2, 5, 10, ... mm that does not exceed a limit."""
     return max(step for step in LENGTHS_MM if step <= max(longest_mm, LENGTHS_MM[0]))
 
 
@@ -284,7 +284,7 @@ def _draw_scale(axes: "Axes", camera: Camera) -> None:
 
 
 def draw_axes(axes: "Axes", names: Sequence[str], camera: Camera) -> None:
-    """Draw named arrows along the world axes, in the directions in which the camera sees them."""
+    """Draw labelled arrows for the world axes as the camera sees these axes."""
     view = np.stack([np.cross(camera.up, camera.towards_eye), camera.up])
     # arrows of length 0.8 and their names fit; up is wider, since z points up in most views
     axes.set(xlim=(-1.5, 1.5), ylim=(-0.75, 1.35), aspect="equal")

@@ -57,17 +57,17 @@ class Section:
     Attributes
     ----------
     axes
-        Unit vectors (rows), shape (3, 3): the directions u and v of the first and the second array
-        index, and the normal of the plane.
+        Three unit vectors (rows), shape (3, 3): the direction u of the first array index, the
+        direction v of the second array index, and the normal of the plane.
     origin_mm
-        Point of the plane with the coordinates 0 along the first two axes [mm], shape (3,).
+        Point of the plane [mm] at u = v = 0, shape (3,).
     row
         Row of the trace at the shown time.
     extent_mm
         Lowest and highest coordinate along u and v, (u0, u1, v0, v1) [mm].
     start, left
-        Filled fraction of each voxel before the first cut (`start`) and at the shown time (`left`),
-        0 to 1, shape (nu, nv). nu and nv are the numbers of voxels along u and v.
+        Filled fraction of each voxel, 0 to 1, shape (nu, nv): `start` before the first cut, `left`
+        at the shown time. nu and nv are the numbers of voxels along u and v.
     layer
         Layer of each voxel, shape (nu, nv).
     """
@@ -81,11 +81,11 @@ class Section:
     layer: Bytes
 
     def points_mm(self, u_mm: Array, v_mm: Array) -> Array:
-        """Return the points at coordinates in the plane [mm], shape (len(u), len(v), 3)."""
+        """Return the 3D points [mm] at the plane coordinates u and v, shape (len(u), len(v), 3)."""
         return _points_mm(self.axes, self.origin_mm, u_mm, v_mm)
 
     def project(self, points_mm: Array) -> Array:
-        """Return the coordinates of points in the plane [mm], shape (n, 2)."""
+        """Project points onto the plane; return their plane coordinates [mm], shape (n, 2)."""
         return (points_mm - self.origin_mm) @ self.axes[:2].T
 
 
@@ -94,16 +94,16 @@ def _points_mm(axes: Array, origin_mm: Array, u_mm: Array, v_mm: Array) -> Array
 
 
 def plane_of(run: Run, row: int) -> tuple[tuple[int, int, int], float]:
-    """Return the section plane through the deepest point of the tool up to a row of the trace.
+    """Return the section plane through the deepest tool position up to a row of the trace.
 
-    The plane is parallel to two world axes. The first axis is closest to the tool's axis. The
-    second axis is the remaining axis along which the tool moves farther.
+    The plane is parallel to two world axes: the axis closest to the tool's axis, and the other axis
+    along which the tool moves farther.
 
     Returns
     -------
-    Indices of three world axes: the main direction of motion, the axis closest to the tool's axis,
-    and the axis perpendicular to the plane. In addition, the coordinate of the plane along the last
-    of these axes [mm].
+    Indices of three world axes: the axis along which the tool moves farther, the axis closest to
+    the tool's axis, and the axis perpendicular to the plane. The second value is the coordinate
+    [mm] of the plane along the perpendicular axis.
     """
     axis, outward = facing(run.trace)
     tips = run.trace.vectors("tool", "mm")
@@ -119,7 +119,7 @@ def plane_of(run: Run, row: int) -> tuple[tuple[int, int, int], float]:
 
 
 def section_of(run: Run, row: int, through_mm: Array | None = None) -> Section:
-    """Return the section at a row of the trace.
+    """Return the section through the voxels at a row of the trace.
 
     Parameters
     ----------
@@ -128,8 +128,8 @@ def section_of(run: Run, row: int, through_mm: Array | None = None) -> Section:
     row
         Row of the trace at the shown time.
     through_mm
-        Point in the plane [mm], shape (3,). The plane also contains the axis of the tool. With
-        None, the section lies in the plane of `plane_of`.
+        Point in the plane [mm], shape (3,). The plane also contains the axis of the tool. If None,
+        the section lies in the plane that `plane_of` returns.
     """
     volume = run.volume
     spacing = 1e3 * volume.spacing_m
@@ -196,7 +196,7 @@ def loaded_frame(series: FieldSeries) -> Frame | None:
 
 
 def nearest_frame(series: FieldSeries, time_s: float) -> Frame | None:
-    """Return the frame with stress that is nearest to a time; None without such a frame."""
+    """Return the frame nearest to a time among the frames with stress; None without such frames."""
     stressed = [frame for frame in series.frames if STRESS in frame.cells]
     return min(stressed, key=lambda frame: abs(frame.time_s - time_s), default=None)
 
@@ -204,8 +204,9 @@ def nearest_frame(series: FieldSeries, time_s: float) -> Frame | None:
 def moment_of(run: Run) -> tuple[int, Frame | None]:
     """Return the row of the trace and the frame of fields that the section shows.
 
-    With stress fields, the frame of `loaded_frame` and the row at its time are returned. Otherwise,
-    the frame is None, and the row is the last row with contact or, without contact, the last row.
+    If there are stress fields, the result is the frame of `loaded_frame` and the trace row at the
+    time of this frame. Otherwise, the frame is None, and the row is the last row with contact or,
+    without contact, the last row.
     """
     series = run.parts.fields
     frame = None if series is None else loaded_frame(series)
@@ -414,8 +415,9 @@ ACROSS = 200
 def shown_mm(run: Run, section: Section, near: Closest | None) -> tuple[float, float, float, float]:
     """Return the drawn extent of a section, (u0, u1, v0, v1) [mm].
 
-    Without protected structures, the whole section is drawn. Otherwise, the drawn extent contains
-    the tissue, a margin in which structures near the tool are visible, and the nearest points.
+    Without protected structures, the whole section is drawn. Otherwise, the extent contains the
+    tissue, a margin that shows structures near the tool, and the points of smallest distance
+    (`near`).
     """
     tissue = np.argwhere(section.start > 0.0)
     distances_mm = distances_to_structures(run).values()
@@ -443,7 +445,8 @@ def draw_kept_clear(
 ) -> "list[Artist]":
     """Draw protected structures in a section.
 
-    Return legend entries with the distances at the shown time and the smallest distance.
+    Return legend entries that give each distance at the shown time, and the smallest distance of
+    the run.
     """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch

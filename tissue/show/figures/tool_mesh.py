@@ -106,7 +106,7 @@ def spin_arc_mm(tool: Tool) -> Array:
 
 
 def pose(tip_mm: ArrayLike, quaternion: ArrayLike) -> Array:
-    """Return the matrix, shape (4, 4), from the tool's frame to the world, for points in mm.
+    """Return the matrix, shape (4, 4), that maps points [mm] from the tool's frame to the world.
 
     The pose is given by the position of the tip and a quaternion (x, y, z, w).
     """
@@ -173,8 +173,8 @@ WALL_MESH_MM = 5.0
 def faces_of(scene: Scene | None) -> "dict[str, pyvista.PolyData]":
     """Return the drawn part [mm] of each infinite face in a scene, keyed by name.
 
-    Infinite faces are a virtual wall, or the layers that a needle passes. A scene with voxels or a
-    mesh has no infinite faces.
+    Infinite faces are the face of a virtual wall, or the faces of the layers that a needle passes.
+    A scene with voxels or a mesh has no infinite faces.
     """
     if scene is None:
         return {}
@@ -211,7 +211,7 @@ def path_face(scene: Scene) -> "dict[str, pyvista.PolyData]":
 
 
 def layer_faces(scene: Scene) -> "dict[str, pyvista.PolyData]":
-    """Return the drawn part [mm] of each layer's face that a needle passes, keyed by layer."""
+    """Return the drawn part [mm] of the face of each layer that a needle passes, keyed by layer."""
     import pyvista
 
     assert isinstance(scene.anatomy, LayersAnatomy)

@@ -25,8 +25,8 @@ def packed(values: NDArray[np.integer[Any]]) -> Record:
     """Encode an array of integers, shape (rows,) or (rows, columns), as compressed text.
 
     Integers of 8 bits are unsigned. Integers of 16 and 32 bits are signed. The differences between
-    consecutive rows are encoded, column by column. A difference that does not fit into the bytes of
-    an integer is wrapped around.
+    consecutive rows are encoded, column by column. A difference that exceeds the range of the
+    integer type is wrapped around.
     """
     rows = values if values.ndim == 2 else values[:, None]
     steps = np.diff(rows, axis=0, prepend=np.zeros((1, rows.shape[1]), rows.dtype)).T
@@ -81,10 +81,10 @@ FIRST = ("indentation_mm", "insertion_mm", "depth_mm")
 HIDDEN = ("tool_q", "device_q")
 
 
-def columns(trace: Table) -> Record:
-    """Encode the columns of a trace whose values vary and are all finite.
+def encoded_columns(trace: Table) -> Record:
+    """Encode those columns of a trace that vary and contain only finite values.
 
-    The index of the layer with the largest contact area in each row is also encoded.
+    For each row, the index of the layer with the largest contact area is also encoded.
     """
     varying = [
         name

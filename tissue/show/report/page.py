@@ -15,7 +15,7 @@ CONFIDENCE = {"H": "high", "M": "medium", "L": "low"}
 
 
 def status_of(saved: SavedRun, text: Text) -> str:
-    """Return the description of the scene, and a sentence if the run is incomplete."""
+    """Return the scene description as HTML, with a note if the run is incomplete."""
     scene = saved.scene
     described = (
         f"<p>{text(scene.description)}</p>" if scene is not None and scene.description else ""
@@ -23,7 +23,9 @@ def status_of(saved: SavedRun, text: Text) -> str:
     if saved.complete:
         return described
     problem = f": {text(saved.problem)}" if saved.problem else ""
-    sentence = f"This run is {text(saved.status)}{problem}. What follows is what it left."
+    sentence = (
+        f"This run is {text(saved.status)}{problem}. The report has the results that it wrote."
+    )
     return f'{described}<p class="verdict open">{sentence}</p>'
 
 
@@ -86,6 +88,8 @@ def run_rows(summary: Summary) -> list[tuple[str, str]]:
                 f"{apart['largest_in_contact']:.3g} / {apart['largest']:.3g} mm{valid}",
             )
         )
+    if (inserted_mm := summary.get("largest_insertion_mm")) is not None:
+        rows.append(("inserted, largest", f"{inserted_mm:.3g} mm"))
     # Only the summary of an organ with a hyperelastic law has this table.
     law = summary.get("law", {}).get("solve_ms")
     solves = (
@@ -135,7 +139,7 @@ def _distance_text(kept: Summary) -> str:
 
 
 def assessment_section(lines: Sequence[str], picture: bytes, text: Text) -> str:
-    """Return the HTML section on an assessment, with its lines and its PNG picture."""
+    """Return an HTML section with the text lines and the PNG picture of an assessment."""
     shown = html_picture("trainee and reference over time", picture)
     return f"<h2>Assessment</h2>{html_list(lines, text)}{shown}"
 
@@ -189,16 +193,19 @@ def materials_table(used: Sequence[Used], text: Text) -> str:
 
 
 def reproduce(scene_text: str, versions: Iterable[tuple[str, str]], text: Text) -> str:
-    """Return the HTML sections with the scene, commands that repeat the run, and the versions.
+    """Return HTML sections with the scene, the commands to repeat the run, and the versions.
 
-    `versions` contains pairs of a name and a version, for programs and for the machine.
+    `versions` contains pairs (name, version) for programs and for the machine.
     """
     data = b64encode(scene_text.encode()).decode("ascii")
     keep = (
         f'<a download="scene.toml" href="data:application/toml;base64,{data}">save it as '
         "scene.toml</a>"
     )
-    commands = 'pip install "tissue-sim"\ntissue run scene.toml --out again\ntissue report again'
+    commands = (
+        "pip install .    # in a checkout of tissue\n"
+        "tissue run scene.toml --out again\ntissue report again"
+    )
     rows = [(text(name), text(value)) for name, value in versions]
     return (
         f"<h2>Scene</h2><p>Everything that was used; {keep}. Files that it names are without "
@@ -330,7 +337,7 @@ def band_lines(band: Summary) -> Iterator[str]:
         if ends["p95"] > 0.0:
             yield f"removed {layer}: 90 % {_between(ends)} mm³"
     for structure, figures in band.get("keep_clear", {}).items():
-        yield f"least distance to {structure}: 90 % {_between(figures['least_distance_mm'])} mm"
+        yield f"smallest distance to {structure}: 90 % {_between(figures['least_distance_mm'])} mm"
     for sentence, event in band.get("events", {}).items():
         yield (
             f"{sentence}: in {event['share']:.0%} of the samples, 90 % at "
@@ -348,8 +355,8 @@ def band_lines(band: Summary) -> Iterator[str]:
     ] - 0.5e-3:
         yield (
             f"samples end at different times, the first at {span['shortest_sample_s']:.3f} "
-            "s: loads have a band to "
-            f"{span['ends_s']:.3f} s, which {span['samples_at_end']} of {band['samples']} reach"
+            f"s: loads have a band up to {span['ends_s']:.3f} s, the time that "
+            f"{span['samples_at_end']} of {band['samples']} samples reach"
         )
 
 

@@ -19,7 +19,7 @@ from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import package_version, require_new_file, write_text
 from tissue.scene.texts import folders_of
 from tissue.scene.used_constants import used_constants
-from tissue.show.report.charts import Record, charts, columns
+from tissue.show.report.charts import Record, charts, encoded_columns
 from tissue.show.report.page import (
     SECTION,
     assessment_section,
@@ -77,8 +77,8 @@ def write_report(
     Raises
     ------
     InputError
-        If the folder contains no run or damaged files, if the file exists and `overwrite` is not
-        set, or if trame-vtk is missing.
+        If the folder contains no run, if its files are damaged, if the file exists and `overwrite`
+        is False, or if trame-vtk is missing.
     """
     report = progress or silent
     folder = Path(folder)
@@ -109,7 +109,7 @@ def _trace(saved: SavedRun) -> dict[str, object]:
     if saved.trace is None or not len(saved.trace.rows):
         return {"trace": None, "charts": [], "events": []}
     return {
-        "trace": columns(saved.trace),
+        "trace": encoded_columns(saved.trace),
         "charts": charts(saved.trace, saved.scene),
         "events": saved.summary.get("events", []),
     }
@@ -266,7 +266,7 @@ def viewer_scripts() -> tuple[list[str], list[str]]:
 
 
 def empty_scene(parts: int) -> str:
-    """Return a vtk.js scene of parts without points, as a zip file in base64.
+    """Return a vtk.js scene whose parts have no points, as a zip file in base64.
 
     The parts have empty arrays of colours and normals.
 

@@ -54,12 +54,12 @@ UNCUT = 0.02
 
 
 def stage(saved: SavedRun) -> Record:
-    """Return the record of the 3D view for the browser.
+    """Return the record (`Record`) from which the browser builds the 3D view.
 
-    ``parts`` contains surfaces over time, and ``scales`` their colour scales. ``bounds`` contains,
-    for each group of parts, the box that must be in view [mm]. If the trace has rows, the record
-    also contains the poses of the tool (``poses``), the scale of the force arrow (``force``), and
-    the row of the largest force (``peak_row``).
+    ``parts`` contains the surfaces as they change over time; ``scales`` contains their colour
+    scales. ``bounds`` contains, for each group of parts, the box that must be in view [mm]. If the
+    trace has rows, the record also contains the poses of the tool (``poses``), the scale of the
+    force arrow (``force``), and the row of the largest force (``peak_row``).
     """
     scene = saved.scene
     trace = saved.trace if saved.trace is not None and len(saved.trace.rows) else None

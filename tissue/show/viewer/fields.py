@@ -33,7 +33,7 @@ SHOWN = "shown"
 
 
 class FieldsShown:
-    """Mesh with fields over time, drawn in a plotter after `show` has been called.
+    """Mesh with time-dependent fields, drawn in a plotter once `show` has been called.
 
     Parameters
     ----------
@@ -46,7 +46,8 @@ class FieldsShown:
     clip
         Plane at which the mesh is cut open, or None.
     fine
-        If true, an uncut tetrahedral mesh is drawn without facets, as needed for a still picture.
+        If true, an uncut tetrahedral mesh is drawn with smooth shading, as needed for a still
+        picture.
 
     Attributes
     ----------
@@ -209,7 +210,8 @@ class BoneShown:
     Parameters
     ----------
     plotter
-        Plotter of the bone. If bone was removed, the key c switches the colours.
+        Plotter that draws the bone. If bone was removed, the keyboard key c switches between
+        colours by layer and colours by removed depth.
     bone
         Bone over time.
     legend
@@ -220,7 +222,7 @@ class BoneShown:
     layers
         Names of the layers that can be hidden.
     help
-        Description of the key c; empty if the key has no function.
+        Help text for the keyboard key c; empty if the key does nothing.
     points_mm
         Points of the initial surface [mm], shape (n, 3).
     colours
@@ -265,7 +267,7 @@ class BoneShown:
         self._plotter.render()
 
     def hide(self, hidden: frozenset[str]) -> None:
-        """Hide some layers, and colour the bone by layer."""
+        """Hide the given layers, and colour the visible bone by layer."""
         self._hidden = hidden
         self.by_depth = False
         self._draw()

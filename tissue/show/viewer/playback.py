@@ -7,7 +7,7 @@ SLOWEST_S = 4.0
 
 
 class Playback:
-    """Shown time of a view, which the user sets or the playback advances.
+    """Time that a view shows, set by the user or advanced by the playback.
 
     Parameters
     ----------

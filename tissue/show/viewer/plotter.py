@@ -16,7 +16,7 @@ renderer.
 """
 STILL_PX = 2
 """Largest motion of the mouse during a click [pixels], because hands are never still."""
-KEPT = tuple("eqrsw")
+KEPT_KEYS = tuple("eqrsw")
 """VTK keys that stay active: exit (e, q), camera reset (r), surfaces (s), wireframe (w)."""
 ROTATE = 1
 """VTK's number of the interactor state in which the left button rotates the camera."""
@@ -48,9 +48,10 @@ def add_text(
     colour: object = "black",
     name: str | None = None,
 ) -> Any:
-    """Write a text, and return its actor. An actor with the same name is replaced.
+    """Write a text in the window, and return its actor.
 
-    `place` is the lower left corner of the text, relative to the window.
+    An actor with the same name is replaced. `place` is the lower left corner of the text, in
+    fractions of the window.
     """
     actor = plotter.add_text(
         words, position=place, viewport=True, font_size=size, color=colour, name=name
@@ -62,7 +63,7 @@ def add_text(
 
 
 def add_names(plotter: Plotter, colours: Mapping[str, tuple[float, float, float]]) -> None:
-    """Write the keys of `colours` in columns at the upper right, each in its colour."""
+    """Write each key of `colours` in its colour, in columns at the upper right."""
     for place, (name, colour) in enumerate(colours.items()):
         # a fourth line would lie on the title of the colour scale
         column, row = divmod(place, 3)
@@ -81,7 +82,7 @@ def add_slider(
 ) -> Any:
     """Add a horizontal slider that calls a function with its value.
 
-    `place` contains the left end, the right end and the vertical position, relative to the window.
+    `place` contains the left end, right end and vertical position, as fractions of the window size.
     """
     left, right, height = place
     return plotter.add_slider_widget(
@@ -102,7 +103,7 @@ def add_slider(
 
 
 def picked(plotter: Plotter, actor: object, x: int, y: int) -> Array | None:
-    """Return the point of an actor under a pixel [mm]; None if the actor is not under the pixel.
+    """Return the point [mm] of an actor under a pixel; None if the actor is not under the pixel.
 
     `x` and `y` are counted in pixels from the lower left corner of the window.
     """
@@ -150,7 +151,8 @@ def on_click(plotter: Plotter, click: Callable[[int, int], object]) -> None:
 
     The position is x and y in pixels from the lower left corner. In a click, the button is pressed
     and released in the same place. Between press and release, VTK's interactor style, which rotates
-    the camera, receives all mouse events. This function therefore observes the events of the style.
+    the camera, receives all mouse events. The function therefore listens to the events of the
+    interactor style.
     """
     interactor = plotter.iren.interactor
     style = interactor.GetInteractorStyle()
@@ -170,7 +172,7 @@ def on_click(plotter: Plotter, click: Callable[[int, int], object]) -> None:
 
 
 def free_keys(plotter: Plotter) -> None:
-    """Switch off the keys that VTK binds to actions, except `KEPT`.
+    """Switch off the keys that VTK binds to actions, except `KEPT_KEYS`.
 
     For example, VTK binds the key 3 to a stereo picture, and the key m to an animation that blocks
     the mouse.
@@ -178,7 +180,7 @@ def free_keys(plotter: Plotter) -> None:
     interactor = plotter.iren.interactor
     style = interactor.GetInteractorStyle()
     style.AddObserver(
-        "CharEvent", lambda *_: style.OnChar() if interactor.GetKeyCode() in KEPT else None
+        "CharEvent", lambda *_: style.OnChar() if interactor.GetKeyCode() in KEPT_KEYS else None
     )
 
 
@@ -195,11 +197,11 @@ def aim(
     margins: tuple[float, float, float, float] = MARGINS,
     parallel: bool = False,
 ) -> None:
-    """Look from the front and above, so that the given points fill an area of the window.
+    """Aim the camera from the front and above, so that the given points fill an area of the window.
 
     `margins` are the left, right, lower and upper end of the area, relative to the window.
 
-    If no points are given, everything that is drawn is in view, centred at the height of the area.
+    If no points are given, everything drawn is in view, centred vertically in the area.
 
     A scale bar needs a parallel projection, because only this projection has the same scale
     everywhere.

@@ -72,7 +72,7 @@ def _chart(
 
 
 FORCE = "#0072B2"
-LEAST = 1e-3
+SMALLEST_ARROW_SHARE = 1e-3
 """Force, relative to the largest force, below which no arrow is drawn."""
 
 
@@ -86,7 +86,7 @@ class ToolShown:
     tool
         Surface of the tool in the frame of the tool [mm], or None.
     longest_mm
-        Length of the arrow of the largest force [mm].
+        Length [mm] of the arrow that shows the largest force.
     opacity
         Opacity of the tool.
     """
@@ -131,7 +131,7 @@ class ToolShown:
         if self._tool is not None:
             self._tool.user_matrix = pose(tip_mm, turn)
         size = float(np.linalg.norm(force_N))
-        shown = size > LEAST * largest_N
+        shown = size > SMALLEST_ARROW_SHARE * largest_N
         self._arrow.SetVisibility(shown)
         self._value.SetVisibility(shown)
         # an arrow without length has no direction
@@ -315,8 +315,8 @@ class RunScene:
     def extent_mm(self, *, near_tip: bool = False) -> Array:
         """Return the points that must stay in view [mm], shape (n, 3).
 
-        The points belong to the tissue, the first and the last position of the tip, and the longest
-        arrow. With `near_tip`, the points of the tool near its tip are included.
+        The points include the tissue, the first and last tip position, and the longest force arrow.
+        With `near_tip`, the points of the tool near its tip are included.
         """
         if self.trace is None:
             return self.tissue_mm
@@ -374,7 +374,7 @@ class RunScene:
 
 
 def times_of(saved: SavedRun, series: SavedFields | None) -> Array:
-    """Return the times [s] in the trace of a run or, without a trace, in its fields."""
+    """Return the times [s] of the trace rows of a run or, without a trace, of its saved fields."""
     if saved.trace is not None and len(saved.trace.rows):
         return saved.trace["time_s"]
     return np.zeros(0) if series is None else series.times_s

@@ -76,14 +76,14 @@ An incomplete run saved no voxels, so they are built again while the user waits.
 
 
 class BoneOverTime:
-    """Bone at any time of a run, carved or unchanged.
+    """Bone at any time of a run, whether or not it was carved.
 
     Parameters
     ----------
     volume
         Bone before the first cut.
     end
-        Bone that is left in each voxel at the end (255 = full), same shape as `volume.fraction`.
+        Filled fraction of each voxel at the end (255 = full), same shape as `volume.fraction`.
     replay
         Replay of the cuts over time. Without a replay, the bone is shown as it is at the end.
     axis
@@ -133,13 +133,13 @@ class BoneOverTime:
         return True
 
     def rest(self, shown: Collection[int]) -> "pyvista.PolyData":
-        """Return the surface [mm] of the layers `shown`, only where no cut changes it."""
+        """Return the surface [mm] of the layers `shown`, without the part that cuts change."""
         return _smooth(self._of(shown).rest())
 
     def cut(self, shown: Collection[int]) -> "pyvista.PolyData":
-        """Return the surface [mm] of the layers `shown`, only where cuts change it.
+        """Return the part of the surface [mm] of the layers `shown` that cuts change.
 
-        The surface belongs to the tick that was set with `at`.
+        It is the surface at the end of the tick that was set with `at`.
         """
         carved = self._of(shown)
         left = self._left[carved.part]
@@ -161,10 +161,10 @@ class BoneOverTime:
 
 
 def bone_of(saved: SavedRun, scene: Scene | None) -> BoneOverTime | None:
-    """Return the bone of a run over time, or None for a run without voxels.
+    """Return the bone of a run at all times, or None for a run without voxels.
 
-    The voxels of an incomplete run are built again from its scene, with a larger spacing. If they
-    cannot be built, the result is None.
+    The voxels of an incomplete run are built again from its scene, with a larger spacing. If the
+    voxels cannot be built, the result is None.
     """
     if saved.complete:
         file = saved.path / "bone.vti"

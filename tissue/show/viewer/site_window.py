@@ -51,7 +51,7 @@ class SiteWindow:
     folder
         Folder written by `tissue import`.
     off_screen
-        If true, the view is drawn for a file, without help text.
+        If true, the view is drawn off screen for a file, and without help text.
 
     Attributes
     ----------

@@ -55,8 +55,8 @@ def view(
     ----------
     path
         Folder of a finished or stopped run, written by `tissue run`, or folder of a bone, written
-        by `tissue import`. On an imported bone, a click sets the site, which can be saved into the
-        scene.
+        by `tissue import`. On an imported bone, a click sets the site where the tool works. This
+        site can be saved to the scene file.
     choice
         Initial view of the run.
     screenshot
@@ -64,12 +64,12 @@ def view(
     movie
         MP4 or GIF file to write instead of opening a window.
     overwrite
-        Whether to replace an existing file of the screenshot or movie.
+        Whether to replace an existing screenshot or movie file.
     progress
         Function that is called with a description of the work and the finished share, 0 to 1.
     opened
-        Function that is called with the address of a page. If it is given, the run is shown in a
-        browser instead of a window, until the page has been closed for some seconds.
+        Function that is called with the address of a page. If `opened` is given, the run is shown
+        in a browser instead of a window, until the page has been closed for some seconds.
 
     Returns
     -------
@@ -263,7 +263,7 @@ def show(
     choice
         Initial view of the run.
     kind, file
-        File to write instead of opening a window, and its kind: ``screenshot`` (PNG) or ``movie``
+        `file` is written instead of opening a window; `kind` is ``screenshot`` (PNG) or ``movie``
         (MP4 or GIF). While a movie is written, the finished share is printed.
     """
     window = Window(saved, title, choice, off_screen=file is not None)
@@ -289,7 +289,7 @@ and drawn first.
 
 
 def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) -> None:
-    """Serve the page of a run until it has been closed for some seconds, or until Ctrl-C.
+    """Serve the page of a run until the page has been closed for some seconds, or until Ctrl-C.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ Before cropping, such a picture has `FINE` times the width and height of the win
 
 
 def add_scale_bar(plotter: Plotter) -> None:
-    """Draw a bar of a round length in a window with a parallel projection."""
+    """Draw a scale bar with a round length in a window with parallel projection."""
     import pyvista
     from vtkmodules.vtkRenderingCore import vtkActor2D, vtkPolyDataMapper2D
 
@@ -97,7 +97,7 @@ KINDS = (".mp4", ".gif")
 
 
 def check_movie(path: Path) -> None:
-    """Refuse a file to which no movie can be written.
+    """Raise an error if no movie can be written to the file.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def check_movie(path: Path) -> None:
 
 
 def movie_times_s(first_s: float, last_s: float) -> Array:
-    """Return the times of the run at which the frames of a movie are drawn [s].
+    """Return the times [s] in the run at which the frames of a movie are drawn.
 
     The movie lasts as long as the run, but at least 4 and at most 12 s.
     """
@@ -201,7 +201,8 @@ class Window:
     choice
         First view of the run.
     off_screen
-        If true, the view is drawn for a file, without keys, marks and help text.
+        If true, the view is drawn off screen for a file, and without keyboard control, marks and
+        help text.
 
     Attributes
     ----------
@@ -277,19 +278,19 @@ class Window:
         self.choose(self._names[place % len(self._names)])
 
     def toggle(self, *names: str) -> None:
-        """Hide those of the given layers that are shown, and show the hidden ones."""
+        """Toggle the given layers: hide the shown ones, and show the hidden ones."""
         self.hidden ^= frozenset(names)
         self._shown.hide(self.hidden)
         self.plotter.render()
 
     def switch_plane(self) -> None:
-        """Cut the mesh of the fields open at the plane, or show the whole mesh again."""
+        """Toggle between the mesh cut open at the cutting plane, and the whole mesh."""
         if self.fields is not None:
             self.fields.cut(self._plane if self.fields.clip is None else None)
             self.plotter.render()
 
     def push_plane(self, share: float) -> None:
-        """Move the plane along its normal by a share of the size of the mesh."""
+        """Move the cutting plane along its normal by a share of the mesh's size."""
         if self._plane is None or self.fields is None or self._shown.series is None:
             return
         normal, origin = np.array(self._plane)

@@ -22,8 +22,8 @@ from tissue.materials.constants import CUT_AS, Constant, constants, listed
 from tissue.materials.scene_constants import Materials
 from tissue.scene.anatomy import Tooth
 from tissue.scene.load import names_file
-from tissue.scene.messages import entries, error_of
-from tissue.scene.part import Part
+from tissue.scene.messages import error_of
+from tissue.scene.part import Part, entries
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import Used, used_constants
@@ -86,12 +86,12 @@ def stated(model: type[Table], values: Mapping[str, object], *, prefix: str = ""
 
 
 def given_note(
-    given: Materials, rests_on: Sequence[Used], *, layers: Sequence[str], by: str
+    given: Materials, used_constants: Sequence[Used], *, layers: Sequence[str], by: str
 ) -> dict[str, str]:
-    """Return the note ``materials``, which lists the given constants that are used.
+    """Return the note ``materials``, which lists the given constants that `rests_on` contains.
 
-    `rests_on` lists the constants that a scene or another object uses; `by` names this object in
-    the note.
+    `used_constants` lists the constants that a scene or another object uses; `by` names this object
+    in the note.
 
     If no constants were given, there is no note, and all constants have their built-in values.
 
@@ -114,7 +114,7 @@ def given_note(
                 f"{layer}{nearest(layer, known)} in {name}",
                 f"use one of {', '.join(known)}",
             )
-    used = {one.full: one for one in rests_on if one.full in given.given}
+    used = {one.full: one for one in used_constants if one.full in given.given}
     for full, one in used.items():
         if one.stated is not None:
             part = (
@@ -129,7 +129,7 @@ def given_note(
                 shown(one.stated),
                 "remove one of the two",
             )
-    _require_some(given, rests_on, by=by)
+    _require_some(given, used_constants, by=by)
     note = f"of {name}: " + "; ".join(
         f"{full} {one.cited.value:g} ({one.cited.low:g}-{one.cited.high:g}), {one.cited.source}"
         for full, one in used.items()

@@ -43,7 +43,7 @@ molar scene is 0.614, 0.731 and 0.749 K with cells of 0.25, 0.125 and 0.083 mm.
 def tooth_around(
     scene: Scene, milling: BoneModel, motion: Motion, *, compute: str, report: Progress
 ) -> TissueModel:
-    """Return the tooth around the milled voxels, with the requested stress and heat."""
+    """Return a model of the tooth around the milled voxels, with stress and heat on request."""
     anatomy = scene.anatomy
     if not isinstance(anatomy, Tooth) or not (scene.stress or scene.heat):
         return ToothModel(milling, device=compute)

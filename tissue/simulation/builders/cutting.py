@@ -51,7 +51,7 @@ STRIDE_M = 1e-3
 
 Poses are inserted between given poses that are farther apart. The value was chosen by judgement.
 """
-SAME = 1e-9
+POSE_TOLERANCE_M = 1e-9
 """Largest difference between two poses that count as equal [m]."""
 SCATTER = 0.7
 """Largest relative error of the force of N cutting elements, multiplied by N ** 0.75.
@@ -383,7 +383,7 @@ class VoxelBone:
             and shell_spacing_m in (None, last.shell_spacing_m)
             and self.left_at is not None
             and all(
-                np.allclose(a, b, rtol=0.0, atol=SAME)
+                np.allclose(a, b, rtol=0.0, atol=POSE_TOLERANCE_M)
                 for a, b in zip(start, self.left_at, strict=True)
             )
         ):
@@ -495,7 +495,7 @@ def tool_boxes(
 
 
 def element_spacing_m(cutter: Cutter, *, depth_m: float, tolerance: float) -> float:
-    """Return the distance between cutting elements [m] for a tolerated error of the force.
+    """Return the distance between cutting elements [m] at which the force error is `tolerance`.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ from tissue.scene.coupling import WallAnatomy
 from tissue.scene.registry import DEVICES
 from tissue.scene.scene import Scene
 from tissue.scene.tool import ReplayMotion, ThrustMotion, Tool
-from tissue.simulation.builders.force_met import chosen_scale
+from tissue.simulation.builders.force_scale import chosen_scale
 from tissue.simulation.builders.loop import (
     LoopSettings,
     judged_loops,
@@ -110,7 +110,7 @@ def hand_motion(scene: Scene, scripted: Motion, *, allow_unstable: bool) -> tupl
     # a run with a real device uses the simulated hand only for the stability check
     holds = "checked for" if DEVICES[held.kind].is_real else "in"
     note = (
-        f"{held.kind} {holds} the hand of {person_of(held.hand)}, {held.renderer}: "
+        f"{held.kind} {holds} the hand of {person_of(held.hand)}, renderer {held.renderer}: "
         f"{'; '.join(notes)}"
     )
     return motion, note
@@ -221,7 +221,7 @@ def device_motion(
     force_scale
         Newtons at the device for each newton at the tool, and a note on how the scale was chosen.
     rng
-        Random generator of the sensory noise of the person for whom the force is scaled.
+        Random generator of the sensory noise in the perceptual scaling of the force.
     allow_unstable
         Whether an unstable coupling is accepted.
 
@@ -253,7 +253,7 @@ def device_motion(
         predictor=settings.predictor(),
         lead_ticks=lead_ticks(settings),
         prediction_gain=chosen.prediction_gain,
-        played=_played(settings, felt),
+        played=_played_force(settings, felt),
     )
     driven = device(tool, judged.loop.stiffness_N_m)
     motion = HandMotion(driven, tool, settings.limits, rendering, script)
@@ -284,7 +284,7 @@ def _law(settings: LoopSettings, loop: WallLoop) -> Renderer:
     return renderer(settings.held.renderer, replace(loop, tick_s=TICK_S))
 
 
-def _played(settings: LoopSettings, person: Perception | None) -> PlayedForce:
+def _played_force(settings: LoopSettings, perception: Perception | None) -> PlayedForce:
     """Return the object that processes a force before it is sent to the device.
 
     The object applies the perceptual map, and adds the vibration of a cutter's teeth and the
@@ -299,4 +299,4 @@ def _played(settings: LoopSettings, person: Perception | None) -> PlayedForce:
         vibration = PlayedVibration(teeth, limit_N=limit_N, slew_N=slew_N)
     if cue_N > 0.0:
         cues = Cues(cue_N, limit_N=limit_N, slew_N=slew_N)
-    return PlayedForce(limit_N, perception=person, vibration=vibration, cues=cues)
+    return PlayedForce(limit_N, perception=perception, vibration=vibration, cues=cues)

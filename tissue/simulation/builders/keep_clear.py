@@ -14,10 +14,10 @@ from meshes.shapes.sdf import Shape, shape_triangles
 from meshes.voxels.mesh_sampling import triangle_distance
 from tissue.models.bone.region_end import RegionEnd
 from tissue.models.keep_clear import (
-    APART_M,
-    DEEP_OVERLAP_M,
+    DEEP_OVERLAP_ERROR_M,
+    DISTANCE_ERROR_M,
     MANY_TRIANGLES,
-    OVERLAP_M,
+    OVERLAP_ERROR_M,
     Distance,
     KeepClear,
     Structure,
@@ -35,7 +35,7 @@ MARGIN_M = 10e-3
 
 
 def watch(scene: Scene, parts: Parts, *, report: Progress) -> None:
-    """Add the objects that watch the tool to the parts of a milling scene.
+    """Add to the parts of a milling scene the two objects that watch the tool.
 
     The first object measures the distance from the structures that the scene names. The second
     object reports when the tool leaves the simulated region.
@@ -100,12 +100,12 @@ def _keep_clear(
     slack_m = max(structure.slack_m for structure in found.values())
     deep = ""
     if any(len(structure.faces) > MANY_TRIANGLES for structure in found.values()):
-        deep = f" ({1e3 * (slack_m + DEEP_OVERLAP_M):.2g} mm if it is more than 1 mm deep)"
+        deep = f" ({1e3 * (slack_m + DEEP_OVERLAP_ERROR_M):.2g} mm if it is more than 1 mm deep)"
     parts.notes["keep clear"] = (
         "distances in the trace are lower bounds. The error is at most "
-        f"{1e3 * (slack_m + APART_M):.2g} mm, and in a breach at most "
-        f"{1e3 * (slack_m + OVERLAP_M):.2g} mm{deep}. Both errors are larger if tens of thousands "
-        "of triangles have the same distance from the tool"
+        f"{1e3 * (slack_m + DISTANCE_ERROR_M):.2g} mm, and in a breach at most "
+        f"{1e3 * (slack_m + OVERLAP_ERROR_M):.2g} mm{deep}. Both errors are larger if tens of "
+        "thousands of triangles have the same distance from the tool"
     )
     return KeepClear(
         profile,
@@ -117,7 +117,7 @@ def _keep_clear(
 
 
 def require_structures(wanted: Wanted, anatomy: CutAnatomy) -> Mapping[str, Shape]:
-    """Check the wanted names, and return the procedural structures of an anatomy.
+    """Check the requested structure names, and return the procedural structures of an anatomy.
 
     Raises
     ------

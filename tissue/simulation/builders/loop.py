@@ -79,7 +79,7 @@ class LoopSettings:
     teeth_Hz
         Rate at which the cutting edges pass [Hz]; 0 for a tool without edges.
     scene_name
-        Name of the scene for which a predictor was trained.
+        Name of the scene. A trained predictor must have been trained for this scene.
     own_predictor
         Function that makes a new predictor. With None, the predictor that the device table names is
         used.
@@ -124,7 +124,7 @@ class LoopSettings:
         return None if self.held.prediction == "none" else self._maker()
 
     def perception(self, rng: np.random.Generator) -> "Perception | None":
-        """Return the perceptual map that scales the force, with `rng` for the sensory noise.
+        """Return the perceptual map that scales the force; `rng` generates the sensory noise.
 
         The result is None if the scene requests no perceptual map.
         """
@@ -152,7 +152,7 @@ class LoopSettings:
         return self.sample_s > TICK_S * (1.0 + 1e-6)
 
     def vibration(self, step_s: float) -> Vibration | None:
-        """Return the vibration of a cutter's teeth for a time step [s]; None without vibration."""
+        """Return the vibration of a cutter's teeth, sampled with a time step [s], or None."""
         share = self.output.vibration_share
         if share == 0.0 or self.teeth_Hz == 0.0:
             return None
@@ -232,7 +232,7 @@ def release_note(settings: LoopSettings, loops: Sequence[JudgedLoop]) -> str:
 def judged_loops(
     settings: LoopSettings, *, allow_unstable: bool
 ) -> tuple[JudgedLoop, JudgedLoop | None]:
-    """Check and return the loop of translation and, for a device with torque, of rotation.
+    """Check and return the loop of translation and, if the device has torque, the loop of rotation.
 
     The check of the rotational loop takes into account that a contact at a lever arm couples both
     loops.
@@ -289,13 +289,13 @@ def _steepest(settings: LoopSettings) -> float:
 def judged_loop(settings: LoopSettings) -> WallLoop:
     """Return the loop, including its total delay, with which a coupling is checked for stability.
 
-    For a tool that cuts or only touches bone, or presses a tissue that reports its stiffness, the
-    force responds to a device sample in the same tick. For any other tissue, the force balance is
-    found one tick later, and the model of the tool estimates the stiffness of the tissue from the
-    last motion. For a tool that slides along the surface, the estimate is the stiffness along the
-    surface. For a guarded predictor, the loop contains the predictor or its fallback: the one with
-    the lower critical stiffness. The loop also includes the vibration of a cutter's teeth, because
-    the amplitude of the vibration is proportional to the force.
+    The force responds to a device sample in the same tick if the tool cuts, touches bone, or
+    presses a tissue that reports its stiffness. For any other tissue, the force balance is found
+    one tick later, and the model of the tool estimates the stiffness of the tissue from the last
+    motion. For a tool that slides along the surface, the estimate is the stiffness along the
+    surface. If the predictor has a fallback, the loop contains whichever of the two has the lower
+    critical stiffness. The loop also includes the vibration of a cutter's teeth, because the
+    amplitude of the vibration is proportional to the force.
 
     A slow device holds each force until its next sample, so its loop is checked at the sample rate
     of the device.
@@ -343,7 +343,7 @@ def lead_ticks(settings: LoopSettings) -> float:
 
 
 def horizon_text(horizon_ms: float, delay_ms: float) -> str:
-    """Return a text with a prediction horizon and its parts: latency of the coupling, and rest."""
+    """Return a text with a prediction horizon and its parts: coupling latency and remainder."""
     rest_ms = horizon_ms - delay_ms
     return (
         f"{horizon_ms:.3g} ms (coupling.delay_ms = {delay_ms:g}, and {rest_ms:.3g} ms for device, "
@@ -361,7 +361,7 @@ def motor_path(settings: LoopSettings) -> WallLoop:
 
 
 def device_path(limits: DeviceParameters) -> WallLoop:
-    """Return a loop with only the stages that a force passes in the device, with ticks of 1 ms.
+    """Return a loop, in ticks of 1 ms, with only the stages that the force passes in the device.
 
     The stages are transport, zero-order hold and amplifier. A slow device holds each force longer
     than a tick. Half of the additional hold time is therefore added as delay.

@@ -216,7 +216,7 @@ def material_of(
         relaxation = [(cited[f"prony_g{k}"].value, cited[f"prony_tau{k}_s"].value) for k in numbers]
         notes["relaxation"] = (
             "; ".join(f"{share:g} in {time_s:g} s" for share, time_s in relaxation)
-            + "; the modulus is that of the first instant; confidence "
+            + "; the modulus is the instantaneous modulus; confidence "
             + cited["prony_g1"].confidence
         )
     with names_of_caller(OF_ORGAN):
@@ -253,18 +253,18 @@ def _modulus_note(
         note += f" ({origin} {modulus.low:g}-{modulus.high:g}, confidence {modulus.confidence})"
     if organ.young_end_kPa is not None:
         note += (
-            f" to {organ.young_end_kPa:g} kPa along x, by the distance to the power "
-            f"{organ.grading_exponent:g}"
+            f" to {organ.young_end_kPa:g} kPa along x (distance to the power "
+            f"{organ.grading_exponent:g})"
         )
     for name, stated in parts.items():
         note += f"; {'part ' * name.isdecimal()}{name} {stated:g} kPa"
     note += f"; Poisson's ratio {ratio:g}"
     if organ.order == 1 and ratio > LOCKING_RATIO:
-        note += ", at which linear tetrahedra lock: forces come out too great, take organ.order = 2"
+        note += ", at which linear tetrahedra lock and forces are too large: set organ.order = 2"
     if organ.fibre_direction is not None:
         note += (
-            f"; {organ.fibre_modulus_ratio:g} times as stiff along its fibres, its bulk modulus "
-            "as without them"
+            f"; {organ.fibre_modulus_ratio:g} times as stiff along its fibres, with an unchanged "
+            "bulk modulus"
         )
     if question := unusual_modulus("organ.young_kPa", young_kPa, modulus, organ.material):
         note += f". {question}"
@@ -358,14 +358,14 @@ def _held(anatomy: Held, mesh: TetMesh) -> tuple[Nodes, str]:
 
 
 def hindrance(organ: Organ) -> str | None:
-    """Return the first key of an organ that hyperelastic laws do not support, or None."""
+    """Return the organ's first key that hyperelastic laws do not support, or None."""
     if organ.path != "condensed":
         return "path"
     return next((name for name in NOT_WITH if getattr(organ, name)), None)
 
 
 def with_cited_shape(organ: Organ, constants: Materials) -> Organ:
-    """Return an organ whose exponential law has a value for its rate.
+    """Return an organ in which the rate is set if its law is exponential.
 
     If the scene gives no rate, the rate is taken from the constants of the material.
     """

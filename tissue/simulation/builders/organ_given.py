@@ -64,7 +64,7 @@ class SoftMaterial:
     capsule, capsule_poisson_ratio
         `capsule` contains the thickness [um] and Young's modulus [kPa] of a membrane on the
         surface; None for no membrane. `capsule_poisson_ratio` is Poisson's ratio of this membrane;
-        None for Poisson's ratio of the organ.
+        if it is None, the ratio of the organ is used.
     density_kg_m3
         Density [kg/m3]. If it is given, gravity acts on the organ.
     relaxation
@@ -76,8 +76,8 @@ class SoftMaterial:
         smallest x, with the exponent `grading_exponent`. There is no grading if `graded_kPa` is
         None.
     fibre_direction, fibre_modulus_ratio
-        Direction of the fibres, None for no fibres. The ratio is Young's modulus along the fibres
-        divided by Young's modulus across the fibres.
+        Direction of the fibres; None if the organ has no fibres. The ratio is Young's modulus along
+        the fibres divided by Young's modulus across the fibres.
 
     Raises
     ------
@@ -206,7 +206,7 @@ class SoftMaterial:
     def organ(
         self, mesh: TetMesh, held: Nodes, *, law: "OrganLaw | None" = None, compute: str = "cpu"
     ) -> "SoftOrgan":
-        """Return the undeformed organ on a mesh whose nodes `held` do not move."""
+        """Return the undeformed organ on a mesh; the nodes in `held` do not move."""
         from tissue.materials.prony import Prony
         from tissue.models.organ.soft_organ import Membrane, SoftOrgan
 

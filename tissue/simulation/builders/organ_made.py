@@ -81,7 +81,7 @@ class MadeOrgan:
     notes
         Notes on findings and assumptions, keyed by subject.
     surface
-        Surface that the mesh represents; None for given tetrahedra.
+        Surface that the mesh represents; None if the tetrahedra were given.
     near
         Region that a tool will press: points, shape (k, 3), in metres, and the radius around each
         point [m]. None if the region is not known.
@@ -267,7 +267,8 @@ def made_of(
     stated
         Material and supports.
     points_mm
-        Points to which a mask or indices of held points refer [mm]; None for the nodes of the mesh.
+        Points to which a mask or indices of held points refer [mm]. If None, they refer to the
+        nodes of the mesh.
     surface
         Surface that the mesh represents.
 

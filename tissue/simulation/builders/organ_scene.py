@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.cache import Kept
+from meshes.base.cache import RecentResults
 from meshes.base.errors import InputError, by, names_of_caller
 from meshes.base.progress import Progress
 from meshes.base.text_tables import shown
@@ -42,9 +42,12 @@ ASIDE_DEG = 10.0
 POSES_TRIED = 200
 """Number of poses along a motion at which contact is searched for; chosen.
 
+With more poses, the preparation of a run takes longer. With fewer poses, contact between two poses
+may be missed.
+
 The margin `tissue.models.organ.soft_organ.MARGIN_EDGES` is added around the triangles in contact.
 """
-KEPT = 0.01
+PATH_TOLERANCE = 0.01
 """Largest distance of a path's corners from the simplified path [edge lengths].
 
 A path is simplified because a recorded path has one corner per tick.
@@ -58,7 +61,7 @@ were on the planned track. The value is an eighth of the width of the drawn bloc
 """
 
 
-_meshes: Kept[HeldMesh] = Kept(2)
+_meshes: RecentResults[HeldMesh] = RecentResults(2)
 """Cached meshes of procedural organs, keyed by the organ's parameters and the tool's path."""
 
 
@@ -93,7 +96,8 @@ def pierced(scene: Scene, motion: Motion, *, report: Progress, **settings: objec
         notes["fields"] = fields.note
         if scene.device is not None:
             notes["fields"] += (
-                f"; a hand that enters up to {1e3 * near:g} mm from the track is drawn as on it"
+                f"; if a hand enters at most {1e3 * near:g} mm from the track, the picture shows "
+                "the needle on the track"
             )
     return Parts(motion, NeedleModel(tissue, diameter_m=diameter, fields=fields), notes=notes)
 
@@ -138,7 +142,7 @@ def pressed(
         If the organ cannot be meshed, if no node of the organ is held, or if the probe never
         touches the organ or starts inside it.
     """
-    from tissue.models.organ.model import ContactSolution, LiverModel
+    from tissue.models.organ.model import ContactSolution, OrganModel
     from tissue.models.organ.soft_organ import ToolPath
 
     anatomy = scene.anatomy
@@ -150,7 +154,7 @@ def pressed(
     # from the force with an eighth (docs/verification.md).
     edge_mm = anatomy.touch_edge_mm or 0.25 * scene.tool.size_mm
     edge_m = 1e-3 * edge_mm
-    kept = kept_corners(motion.sweep_m(), 1e-3 * KEPT * edge_mm)
+    kept = kept_corners(motion.sweep_m(), 1e-3 * PATH_TOLERANCE * edge_mm)
     path = motion.sweep_m()[kept]
     meshed = partial(held_mesh, anatomy, path_m=path, touch_edge_m=edge_m, report=report)
     if isinstance(anatomy, LiverFile):
@@ -173,7 +177,7 @@ def pressed(
     report("assembling the stiffness", 0.0)
     tips, turns = poses_along(motion, kept, POSES_TRIED)
     with names_of_caller({"touch_edge_m": "anatomy.touch_edge_mm"}):
-        model = LiverModel(
+        model = OrganModel(
             soft,
             ToolPath(probe, tips, turns),
             ContactSolution(organ.path, basis_size=organ.basis_size, cores=cores),

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,11 @@ RECORDED = "recorded"
 Corners = tuple[Array, Array]
 """Lowest and highest corner of a box [m]."""
 POSES_TRIED = 300
-"""Number of poses along a motion at which contact is searched for; chosen."""
+"""Number of poses along a motion at which contact is searched for; chosen.
+
+With more poses, the preparation of a run takes longer. With fewer poses, contact between two poses
+may be missed.
+"""
 FAR_M = 0.1
 """Distance between path and bone [m] above which a run contains a note.
 
@@ -126,6 +131,27 @@ def recorded_file(scene: Scene) -> str:
     return scene.motion.file if isinstance(scene.motion, ReplayMotion) else ""
 
 
+def require_no_pause(scene: Scene) -> None:
+    """Raise an error if two consecutive points of a path are equal.
+
+    `FollowPath` would ignore such a point, and the tool would not pause there. Folders of earlier
+    runs may have such a path, so the scene is checked before a run and not when it is read.
+    """
+    if not isinstance(scene.motion, PathMotion):
+        return
+    points = scene.motion.points_mm
+    for number, (point, following) in enumerate(pairwise(points), start=1):
+        # A path without any other point has an error of its own.
+        if point == following and len(set(points)) > 1:
+            raise InputError(
+                "motion.points_mm",
+                "not repeat a point",
+                f"{in_brackets(point, 'g')} as points {number} and {number + 1}",
+                "remove one of them. A pause of the tool needs a recorded motion with times: "
+                "motion.kind = replay",
+            )
+
+
 def motion_of(scene: Scene) -> Motion:
     """Return the motion of a scene; with a recorded device, return the recorded motion.
 
@@ -165,7 +191,7 @@ def reach_of_tool(
 ) -> Corners:
     """Return a box around all positions of the tool that can touch bone, with a margin [m].
 
-    Parts of the smooth surface that never leave the guide hole, such as a peg, touch no bone.
+    Parts of the non-cutting surface that never leave the guide hole, such as a peg, touch no bone.
     """
     points = cutter.coarse_surface_m()
     if guide_hole is not None and cutter.has_smooth_surface:
@@ -195,10 +221,10 @@ def swept_box(shell: Array, motion: Motion, margin: float) -> Corners:
 
 
 def poses_along(motion: Motion, chosen: slice | Ints, count: int) -> tuple[Array, Array]:
-    """Return poses along a motion at which contact is searched for.
+    """Return poses along a motion at which the program checks for contact.
 
     The result is tips, shape (p, 3), in metres, and rotations, shape (p, 3, 3). The poses are
-    `count` poses at equal distances, and the corners of the motion that `chosen` selects.
+    `count` poses at equal distances, and the motion's corners with the indices `chosen`.
     """
     corners = motion.sweep_m()
     turns = motion.rotations()
@@ -249,7 +275,7 @@ def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
 
 
 def far_note(volume: VoxelVolume, points_mm: Sequence[Sequence[float]]) -> str | None:
-    """Return a note on the corner of a path that is farthest from the bone, or None.
+    """Return a note on the corner of a path with the largest distance from the bone, or None.
 
     The result is None if all corners are near the simulated bone, see `FAR_M`.
     """
@@ -321,7 +347,7 @@ def _on_one_side(points: Array, region: Corners) -> bool:
 
 
 def w_first_notice(volume: VoxelVolume, cutter: Cutter, motion: Motion, file: str) -> str | None:
-    """Return a sentence if the start pose suggests that w is the first quaternion column.
+    """Return a sentence if the start pose suggests that quaternions are in the order w, x, y, z.
 
     The result is None otherwise. The sentence is returned if the tool starts inside the bone, but
     the overlap is much smaller with w as the first column, see `MUCH_MORE`. A quaternion has unit

@@ -59,7 +59,7 @@ def maker_of(
     scene_name
         Name of the scene for which the predictor in the file must have been trained.
     file
-        File that `tissue train` wrote; empty for the file that is shipped for the scene.
+        File that `tissue train` wrote. If empty, the file that is shipped for the scene is used.
     force_limit_N
         Largest force of the device. The difference between a prediction and the current force is
         limited to this value.
@@ -89,11 +89,11 @@ def maker_of(
 def trained_predictor(
     kind: str, trained: Trained | None, *, force_limit_N: float, encoder_step_m: float = inf
 ) -> Predictor:
-    """Return a guarded predictor from its name in `PREDICTORS` and trained parameters.
+    """Return the predictor that a name in `PREDICTORS` selects, with its trained parameters.
 
-    If `koopman-online` has no trained parameters, its operator is chosen for `encoder_step_m`, the
-    encoder step of the device [m]. With the default, the encoder step of the devices in training is
-    used.
+    If `koopman-online` has no trained parameters, it uses an operator for the encoder step of the
+    device, `encoder_step_m` [m]. By default, the encoder step of the devices that were used for
+    training is assumed.
 
     Raises
     ------
@@ -139,12 +139,12 @@ def perception(
     tick_s: float,
     friction_N: float = inf,
 ) -> Perception:
-    """Return the perceptual map with a name in `PERCEPTIONS`, or the map of a given observer.
+    """Return the perceptual map of forces, given by a name in `PERCEPTIONS` or by an observer.
 
     Parameters
     ----------
     choice
-        Observer, or the name of a perceptual map. For some maps, the text also contains an
+        Observer, or the name of a perceptual map. For some maps, the name is followed by an
         argument, such as a file.
     rng
         Random generator of the sensory noise of the person.
@@ -181,13 +181,12 @@ def perception(
     held = weber_of(observer, quantile=CAUTION)
     sentence = (
         f"as perceived by {observer.name}: changes below {held.kappa:.3g} of (F + "
-        f"{held.offset:.3g} N) are held back"
+        f"{held.offset:.3g} N) are not played"
     )
     if law.gain < 1.0:
         sentence += (
-            f", and all intensities are {law.gain**reference.beta:.3g} of the reference "
-            "observer's, so that the "
-            "device can play them in their ratios"
+            f", and all intensities are {law.gain**reference.beta:.3g} times the intensities of "
+            "the reference observer, so that the device can play their ratios"
         )
     return PerceivedForce(
         law,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from meshes.base.cache import Kept
+from meshes.base.cache import RecentResults
 from meshes.base.errors import InputError, in_brackets, is_file, names_of_caller
 from meshes.base.grid import BLOCK
 from meshes.base.progress import Progress
@@ -61,7 +61,7 @@ The peak occurs while bricks (blocks of voxels) are made and results are written
 """
 MOST_KEPT = 1e7
 """Largest number of voxels of a volume that stays in memory for the next run (60 MB)."""
-_volumes: Kept[VoxelVolume] = Kept(2)
+_volumes: RecentResults[VoxelVolume] = RecentResults(2)
 """Cached volumes of procedural bone, keyed by parameters, region and guide hole."""
 NO_SHAPE = {"kind", "guide_hole_diameter_mm", "guide_hole_depth_mm"}
 """Keys of an anatomy that do not change the shape of the bone."""
@@ -70,7 +70,7 @@ NO_SHAPE = {"kind", "guide_hole_diameter_mm", "guide_hole_depth_mm"}
 def volume_of(
     scene: Scene, cutter: Cutter, motion: Motion, *, notes: dict[str, str], report: Progress
 ) -> VoxelVolume:
-    """Return the voxels of bone that the tool can reach, with the guide hole."""
+    """Return the voxels of bone that the tool can reach; the guide hole is already removed."""
     spacing = scene.voxels.spacing_mm * 1e-3
     parameters = scene.bone
     hole = _guide_hole(scene, motion)
@@ -320,7 +320,7 @@ def _filled(parameters: Bone, surface: "Surface", site: "Site") -> Anatomy:
 
 
 def whole_image(parameters: BlockImage, *, spacing_mm: float, notes: dict[str, str]) -> VoxelVolume:
-    """Return the bone of an image that is not moved to a site.
+    """Return the bone of a whole image, without a site at the origin.
 
     The top of the bone is at z = 0.
     """

@@ -46,7 +46,7 @@ class PublishingProcess(WindowProcess):
     shows_tissue = False
 
     def note(self) -> str:
-        """Return text that completes a sentence about the published data."""
+        """Return the end of a sentence about the published data."""
         return f"published {int(self.frames)} times as {self.address}"
 
 
@@ -219,9 +219,7 @@ class SlicerProcess(WindowProcess):
         self._events = self.arrays["events"]
         self._events_count = self.arrays["events_count"]
         self._ignored = (
-            "were no pose of a tool, or of a second client"
-            if link.drives
-            else "need --slicer-drives"
+            "were not rigid or came from a second client" if link.drives else "need --slicer-drives"
         )
 
     def report(self, what: str) -> None:
@@ -233,15 +231,17 @@ class SlicerProcess(WindowProcess):
         self._events_count[0] += 1
 
     def note(self) -> str:
-        """Return text that completes a sentence about the clients and their received messages."""
+        """Return the end of a sentence about the clients and the messages sent to them."""
         sent, clients, refused, ignored = self.arrays["counts"].tolist()
         words = [
             f"published at {self.address} by OpenIGTLink: {sent} messages to {clients} clients"
         ]
         if refused:
-            words.append(f"{refused} disconnected for what they sent or did not take")
+            words.append(f"{refused} disconnected, because they sent invalid data or did not read")
         if ignored:
-            words.append(f"{ignored} transforms tissue-target ignored, which {self._ignored}")
+            words.append(
+                f"{ignored} transforms tissue-target ignored, because they {self._ignored}"
+            )
         return ", ".join(words)
 
 

@@ -246,7 +246,7 @@ def tissue_surface(start: Start, arrays: SharedArrays) -> "BoneSurface | OrganSu
 
 
 class BoneSurface:
-    """Surface of a bone, computed from blocks of voxels in the bricks that the ticks copy.
+    """Surface of a bone, computed from the bricks of voxels that a run copies to shared arrays.
 
     A brick is 8 x 8 x 8 voxels.
 
@@ -260,7 +260,8 @@ class BoneSurface:
     surface
         Surface [mm], with normals. It has no cells if no bone is left.
     volume
-        Volume of blocks of several voxels. `update` copies the bone of the run into the blocks.
+        Coarse volume in which each voxel (block) covers several voxels of the bone. `update` copies
+        the bone of the run into the blocks.
     """
 
     def __init__(self, start: Start, arrays: SharedArrays) -> None:

@@ -8,7 +8,7 @@ from math import cos, radians, sin
 import numpy as np
 import pytest
 
-from tissue.haptics.device.device import DeviceParameters, StatesPlayed
+from tissue.haptics.device.device import DeviceParameters, ReportsPlayedForce
 from tissue.haptics.device.safe_device import SafeDevice
 from tissue.haptics.real.adapter import HardwareAdapter, HardwareSample
 from tissue.haptics.real.mapped import MappedDevice
@@ -238,7 +238,7 @@ def test_a_force_that_the_adapter_took_off_comes_on_from_zero():
 
 def test_a_safe_device_holds_it_and_states_what_was_played():
     device, adapter, _ = mapped(force_cap_N=2.0)
-    assert isinstance(device, StatesPlayed)
+    assert isinstance(device, ReportsPlayedForce)
     with SafeDevice(device) as held:
         adapter.sample = HardwareSample((0.0, 0.0, 0.0))
         held.read(0.0)

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from tissue import load_scene, simulate
+from tissue.objects.overlay import Curve, overlay
 from tissue.show.figures import draw_pictures, force_depth, organ_pictures
+from tissue.show.report.page import run_rows
 
 pytest.importorskip("pyvista")
 
@@ -47,6 +49,16 @@ def test_insertion_of_an_oblique_needle_shows_the_force_along_its_axis(tmp_path,
     parts = sum(run.trace[name] for name in ("elastic_N", "cutting_N", "friction_N"))
     np.testing.assert_allclose(lines["all together"], parts, atol=1e-9)
     assert parts.max() > 1.0 and "axis" not in run.parts.notes
+    # The depth is the travel along the needle, as in the event of the puncture.
+    travel_mm = run.trace["insertion_mm"] + run.trace["deflection_mm"]
+    drawn_mm = charts[0].axes[0].lines[0].get_xdata()
+    np.testing.assert_allclose(np.maximum(drawn_mm, 0.0), travel_mm, atol=1e-5)
+    panels = overlay([Curve("oblique", run.trace)], over="depth")
+    assert run.summary["largest_insertion_mm"] == run.trace["insertion_mm"].max()
+    assert ("inserted, largest", f"{run.trace['insertion_mm'].max():.3g} mm") in run_rows(
+        run.summary
+    )
+    assert panels[0].lines[0].get_xdata().max() == pytest.approx(travel_mm.max(), abs=0.2)
 
 
 def test_needle_whose_path_is_not_along_its_axis_is_noted_and_drawn():

@@ -12,7 +12,7 @@ import tissue
 from meshes.base.errors import InputError
 from tissue.show.figures import force_time
 from tissue.show.figures.force_depth import draw_force_depth
-from tissue.show.figures.force_time import draw_force_torque, joined_events, spells
+from tissue.show.figures.force_time import constant_intervals, draw_force_torque, joined_events
 from tissue.simulation.run_folder import picture_format
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -20,11 +20,15 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 def test_a_contact_that_flickers_is_one_band():
     names = np.repeat(["none", "in", "none", "in", "none", "in", "none"], [50, 2, 3, 4, 1, 200, 40])
-    assert spells(names, shortest=20) == [(0, 60, "none"), (60, 260, "in"), (260, 300, "none")]
-    assert len(spells(names)) == 7
+    assert constant_intervals(names, shortest=20) == [
+        (0, 60, "none"),
+        (60, 260, "in"),
+        (260, 300, "none"),
+    ]
+    assert len(constant_intervals(names)) == 7
     starts = np.repeat(["in", "none", "in"], [3, 30, 30])
-    assert spells(starts, shortest=20) == [(0, 33, "none"), (33, 63, "in")]
-    assert spells(names[:0], shortest=20) == []
+    assert constant_intervals(starts, shortest=20) == [(0, 33, "none"), (33, 63, "in")]
+    assert constant_intervals(names[:0], shortest=20) == []
 
 
 def test_an_event_that_comes_again_at_once_is_marked_once():

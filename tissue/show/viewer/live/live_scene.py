@@ -46,7 +46,7 @@ NUMBERS = ("time_s", "removed_mm3", *CLOCK)
 
 @dataclass(frozen=True)
 class Readings:
-    """Values of the newest trace row and of the clock.
+    """Values of the newest row, which holds the trace columns and the clock columns.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Readings:
 
     @classmethod
     def of(cls, columns: tuple[str, ...], row: Array, start: Start) -> "Readings":
-        """Read the values from a row with trace and clock columns."""
+        """Read the values from a row that holds trace columns and clock columns."""
         table = Table(columns, row[None], tuple(map(str, start["layer_names"])))
         plays = "device_force_x_N" in table
         return cls(
@@ -89,7 +89,7 @@ class Readings:
 
 
 def read_start(folder: Path) -> tuple[Scene, Start]:
-    """Read the scene and the initial data from the folder of the simulation process."""
+    """Read the scene and the initial data that the simulation process wrote to a folder."""
     with np.load(folder / "start.npz", allow_pickle=False) as file:
         start: Start = dict(file)
     return Scene.read_back((folder / "scene.json").read_text("utf-8")), start
@@ -116,7 +116,7 @@ class LiveScene:
     size_px
         Width and height of the window [pixels].
     margins
-        Left, right, lower and upper end of the area for the scene, relative to the window.
+        Left, right, lower and upper edge of the scene's area, as fractions of the window.
     off_screen
         If true, pictures are drawn without a window.
 
@@ -277,7 +277,7 @@ class LiveScene:
 
 
 def add_organ(plotter: Plotter, organ: OrganSurface) -> None:
-    """Draw the surface of a soft organ, whose points move with each update."""
+    """Draw the surface of a soft organ; each update moves its points."""
     plotter.add_mesh(
         organ.surface,
         color=ORGAN,
@@ -390,8 +390,8 @@ class Pointer(Target):
     """Requested position of a tool within a box, moved with mouse and keys.
 
     The position follows the mouse in the plane that contains the position and is parallel to the
-    view. With a pressed button, the mouse changes the view instead. The wheel and the depth keys
-    move the position along the tool's axis.
+    view. While a mouse button is pressed, the mouse changes the view instead. The wheel and the
+    depth keys move the position along the tool's axis.
 
     Parameters
     ----------

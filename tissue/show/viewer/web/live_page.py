@@ -26,7 +26,7 @@ The height is larger than the length of the longest arrow.
 
 
 class LivePage:
-    """Live run on a page, where the mouse moves the tool.
+    """Live run on a browser page; the mouse moves the tool.
 
     While no page is open or the run is paused, no ticks are computed and the tool does not move.
 
@@ -90,7 +90,7 @@ class LivePage:
         self.arrays["closed"][0] = 1
 
     def take(self, do: str, values: Values) -> None:
-        """Apply a message of the page: move the tool, rotate the view, pause, reset or end."""
+        """Handle a message of the page: move the tool, rotate the view, pause, reset or end."""
         if self.stage.take(do, values):
             pass
         elif do == "pause":
@@ -111,7 +111,7 @@ class LivePage:
             self._move(do, values)
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
-        """Send the requested position of the tool to the simulation, and draw all changes."""
+        """Send the requested tool position to the simulation; return as `Session.frame`."""
         self.arrays["frames"][0] += 1
         if int(self.arrays["runs"][0]) != self._run:
             self._begin_again()

@@ -39,7 +39,7 @@ ALONE = ("reset", "end", "seen")
 
 
 class MessageError(ValueError):
-    """Error for a message that cannot come from a page of this program."""
+    """Error for a message that a page of this program would never send."""
 
 
 def parse(text: str) -> tuple[str, Values]:
@@ -129,7 +129,7 @@ class Session(Protocol):
         ...
 
     def frame(self, drawing: bool) -> tuple[dict[str, Any] | None, bytes | None]:
-        """Advance by one frame; return new values, and a picture if `drawing` is set."""
+        """Advance by one frame; return new values, and a picture if `drawing` is true."""
         ...
 
 
@@ -286,8 +286,8 @@ def _cut(line: asyncio.Transport | None) -> None:
 def page_text(kind: str, nonce: str) -> str:
     """Return the HTML text of a page.
 
-    Scripts and styles are part of the text, so the page loads no other files. Therefore only the
-    address of the page must contain the token.
+    Scripts and styles are part of the text, so the page loads no other files. The token is
+    therefore needed only in the address of the page.
     """
     text = (PAGE / f"{kind}.html").read_text("utf-8")
     script = "\n".join(
@@ -321,9 +321,9 @@ in the address is passed on.
 def refusal(request: web.BaseRequest, port: int, token: str) -> str | None:
     """Return the reason why a request is refused, or None.
 
-    Another site may use a host name of its own for this machine (DNS rebinding). The Host header of
-    such a request contains that host name. If another site opens the socket, the Origin header
-    contains that site, because browsers always send this header with a socket.
+    Another website may let its own host name point to this machine (DNS rebinding). The Host header
+    of such a request contains that host name. If another website opens the WebSocket, the Origin
+    header names that website, because browsers always send this header with a WebSocket.
     """
     home = f"{HOST}:{port}"
     origin = request.headers.get("Origin")
@@ -346,8 +346,8 @@ def serve(make: Callable[[], Session], *, beside_ticks: bool) -> None:
     make
         Function that creates the session.
     beside_ticks
-        If true, another process computes the ticks of a live run and has priority over this
-        process.
+        True if another process computes the ticks of a live run. This process then gets a lower
+        priority.
     """
     standard_output = own_process(beside_ticks=beside_ticks)
     import pyvista

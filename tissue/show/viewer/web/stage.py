@@ -23,15 +23,15 @@ TURN_DEG = 180.0
 
 
 class Stage:
-    """Off-screen view that draws pictures for a page, and that the page can rotate.
+    """Off-screen view that draws pictures for a page and can be rotated by the page.
 
     Parameters
     ----------
     plotter
         PyVista's plotter, off screen.
     aim
-        Function that points the camera at the scene. It is called after each change of size until
-        the user rotates the view.
+        Function that points the camera at the scene. It is called after each change of the picture
+        size, until the user rotates the view.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Stage:
     def resize(self, wide: float, tall: float) -> None:
         """Set the size of pictures [pixels].
 
-        A size above the limit is reduced at the same aspect ratio.
+        A picture with more than `MOST_PX` pixels is reduced; its aspect ratio is kept.
         """
         scale = min(1.0, float(np.sqrt(MOST_PX / (wide * tall))))
         # even numbers, though odd ones are drawn as well
@@ -82,7 +82,8 @@ class Stage:
     def turn(self, right: float, up: float) -> None:
         """Rotate the view by a drag of the mouse.
 
-        `right` and `up` are the distances of the drag, relative to the height of the picture.
+        `right` and `up` are the distances that the mouse was dragged, as fractions of the picture's
+        height.
         """
         camera = self._plotter.camera
         camera.Azimuth(-TURN_DEG * right)
@@ -103,7 +104,7 @@ class Stage:
     def picture(self) -> bytes | None:
         """Return the view as JPEG.
 
-        When the view no longer changes, one picture with smooth edges is returned. Later calls
+        After the view has stopped changing, one picture with smooth edges is returned. Later calls
         return None until the view changes again.
         """
         now = perf_counter()

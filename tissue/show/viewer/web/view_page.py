@@ -35,7 +35,7 @@ LAYER = "layer"
 
 
 class ViewPage:
-    """Finished or stopped run on a page.
+    """Finished or stopped run, shown on a browser page.
 
     The page shows bone or fields, tool and force at the time that the user chooses.
 
@@ -81,8 +81,8 @@ class ViewPage:
     def hello(self) -> dict[str, Any]:
         """Return the data that a page needs when it is opened.
 
-        The data contain the names and colours of the layers, the selectable fields and colourings,
-        and the force over time.
+        The data contain the names and colours of the layers, the fields and colour modes to choose
+        from, and the force over time.
         """
         self.stage.changed = self._dirty = True
         return {

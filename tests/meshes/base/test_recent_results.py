@@ -1,10 +1,10 @@
-"""Results that are kept: made once for each key, shared, and never more of them than agreed."""
+"""Recent results: made once for each key, shared, and never more of them than agreed."""
 
-from meshes.base.cache import Kept
+from meshes.base.cache import RecentResults
 
 
 def test_a_result_is_made_once_and_the_one_asked_for_longest_ago_goes():
-    kept, made = Kept(2), []
+    kept, made = RecentResults(2), []
 
     def result(key):
         return kept.of(key, lambda: made.append(key) or [key])

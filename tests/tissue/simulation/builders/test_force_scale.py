@@ -12,27 +12,27 @@ import trimesh
 
 from tissue import load_scene, simulate
 from tissue.haptics.device.device import device_parameters
-from tissue.simulation.builders.force_met import (
-    LEAST,
-    MOST,
-    Met,
+from tissue.simulation.builders.force_scale import (
+    LARGEST_FORCE_RATIO,
+    SMALLEST_FORCE_RATIO,
+    ExpectedForce,
     Series,
     chosen_scale,
-    crossed,
-    cut,
-    force_met,
-    pressed,
+    cutting_force,
+    expected_force,
+    insertion_force,
+    pressing_force,
 )
 
 LIBRARY = {
-    "milling": cut,
-    "glenoid": cut,
-    "molar": cut,
-    "caries": cut,
-    "liver-press": pressed,
-    "palpation": pressed,
-    "needle": crossed,
-    "incision": crossed,
+    "milling": cutting_force,
+    "glenoid": cutting_force,
+    "molar": cutting_force,
+    "caries": cutting_force,
+    "liver-press": pressing_force,
+    "palpation": pressing_force,
+    "needle": insertion_force,
+    "incision": insertion_force,
 }
 
 
@@ -46,15 +46,15 @@ def test_a_script_s_force_fits_its_device(name, device):
     """
     scene, limits = load_scene(name, {"device": device}), device_parameters(device)
     scale, why, d_prime = chosen_scale(scene)
-    met = force_met(scene)
-    low, high = LEAST * limits.friction_N, MOST * limits.force_limit_N
-    assert scale * met.force_N <= high * (1.0 + 1e-9)
-    assert scale * met.force_N >= 0.9 * min(low, high)
-    best = Series.of(limits, scene.constants).best_scale(met)
+    expected = expected_force(scene)
+    low, high = SMALLEST_FORCE_RATIO * limits.friction_N, LARGEST_FORCE_RATIO * limits.force_limit_N
+    assert scale * expected.force_N <= high * (1.0 + 1e-9)
+    assert scale * expected.force_N >= 0.9 * min(low, high)
+    best = Series.of(limits, scene.constants).best_scale(expected)
     # A scale is rounded down to two digits.
-    assert 0.9 * best < scale <= best or not low < best * met.force_N < high
-    assert f"{met.force_N:.3g} N" in why
-    assert (d_prime is None) == (met.stiffness_N_m == 0.0) == ("d′" not in why)
+    assert 0.9 * best < scale <= best or not low < best * expected.force_N < high
+    assert f"{expected.force_N:.3g} N" in why
+    assert (d_prime is None) == (expected.stiffness_N_m == 0.0) == ("d′" not in why)
     assert chosen_scale(load_scene(name, {"device": device, "seed": 5, "hand": "novice"})) == (
         scale,
         why,
@@ -63,27 +63,32 @@ def test_a_script_s_force_fits_its_device(name, device):
 
 
 def test_the_best_scale_has_the_largest_sensitivity():
-    series = Series(yields_m_N=6.5e-3, threshold_N=0.475, weber=0.07)
-    for met in (Met(50.0, 1e4, 5e-3), Met(1.5, 300.0, 5e-3), Met(0.4, 2000.0, 2e-4)):
-        best = series.best_scale(met)
+    series = Series(compliance_m_N=6.5e-3, threshold_N=0.475, weber=0.07)
+    for expected in (
+        ExpectedForce(50.0, 1e4, 5e-3),
+        ExpectedForce(1.5, 300.0, 5e-3),
+        ExpectedForce(0.4, 2000.0, 2e-4),
+    ):
+        best = series.best_scale(expected)
         scales = best * np.geomspace(0.01, 100.0, 2001)
-        found = [series.sensitivity(met, scale) for scale in scales]
+        found = [series.sensitivity(expected, scale) for scale in scales]
         assert scales[np.argmax(found)] == pytest.approx(best, rel=0.01)
         # The same from two forces of springs in series.
         forces = [
-            met.depth_m / (1.0 / (best * share * met.stiffness_N_m) + series.yields_m_N)
+            expected.depth_m
+            / (1.0 / (best * share * expected.stiffness_N_m) + series.compliance_m_N)
             for share in (1.0, 1.001)
         ]
         change = (forces[1] - forces[0]) / np.log(1.001)
         felt = 0.07 * (forces[0] + series.threshold_N)
-        assert series.sensitivity(met, best) == pytest.approx(
+        assert series.sensitivity(expected, best) == pytest.approx(
             0.9538725 * np.log(1.3) * change / felt, rel=2e-3
         )
 
 
 def test_a_motion_scale_replaces_a_force_scale():
     """A stiffness is felt as motion scale times force scale of it."""
-    plain = force_met(load_scene("wall"))
+    plain = expected_force(load_scene("wall"))
     series = Series.of(device_parameters("six-dof"), load_scene("wall").constants)
     double = plain._replace(stiffness_N_m=2.0 * plain.stiffness_N_m, depth_m=0.5 * plain.depth_m)
     scaled = {"device": "six-dof", "coupling.motion_scale": 2.0}
@@ -95,9 +100,9 @@ def test_a_motion_scale_replaces_a_force_scale():
 def test_a_device_with_more_friction_has_a_larger_scale():
     limits = device_parameters("six-dof")
     constants = load_scene("wall").constants
-    met = Met(50.0, 1e4, 5e-3)
+    expected = ExpectedForce(50.0, 1e4, 5e-3)
     scales = [
-        Series.of(replace(limits, friction_N=friction), constants).best_scale(met)
+        Series.of(replace(limits, friction_N=friction), constants).best_scale(expected)
         for friction in (0.0, 0.1, 0.5)
     ]
     assert scales == sorted(scales) and scales[0] < scales[-1]
@@ -145,7 +150,7 @@ def test_the_estimate_is_the_force_of_the_run(name, changes):
     scene = load_scene(name, changes)
     forces = np.linalg.norm(simulate(scene).trace.vectors("model_force", "N"), axis=1)
     if name == "liver-press":
-        assert 0.5 < pressed(scene).force_N / forces.max() < 2.0
+        assert 0.5 < pressing_force(scene).force_N / forces.max() < 2.0
     else:
         assert LIBRARY[name](scene).force_N == pytest.approx(forces.max(), rel=0.2)
 
@@ -160,8 +165,8 @@ def test_it_does_not_depend_on_the_frame():
         "motion.points_mm": [[0, -4, 0.05], [0, -4, -0.2], [0, 4, -0.2]],
         "voxels.spacing_mm": 0.2,
     }
-    there = cut(load_scene("milling", along | {"anatomy.size_mm": [20, 12, 6]})).force_N
-    found = cut(load_scene("milling", turned | {"anatomy.size_mm": [12, 20, 6]})).force_N
+    there = cutting_force(load_scene("milling", along | {"anatomy.size_mm": [20, 12, 6]})).force_N
+    found = cutting_force(load_scene("milling", turned | {"anatomy.size_mm": [12, 20, 6]})).force_N
     assert found == pytest.approx(there, rel=0.02)
 
 

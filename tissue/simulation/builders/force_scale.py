@@ -59,17 +59,18 @@ For this estimate, the cutter has `SLOT_VOXELS` voxels across its diameter.
 The estimate is used only to choose a force scale with two digits. The value of the feed is assumed
 to be typical of milling by hand.
 """
-MOST = 0.35
+LARGEST_FORCE_RATIO = 0.35
 """Largest ratio of the scaled force along the scripted motion to the force limit of the device.
 
 The device renders up to twice this force without compression, so a hand may press twice as hard.
 """
-LEAST = 4.0
+SMALLEST_FORCE_RATIO = 4.0
 """Smallest ratio of the largest scaled force to the friction of the device.
 
 The largest scaled force is the maximum along the scripted motion. The value is assumed.
 
-If the bounds `LEAST` and `MOST` contradict each other, `MOST` takes precedence.
+If the bounds `SMALLEST_FORCE_RATIO` and `LARGEST_FORCE_RATIO` contradict each other,
+`LARGEST_FORCE_RATIO` takes precedence.
 """
 STIFFER = 1.3
 """Ratio of the stiffnesses of two specimens for which the sensitivity d' is computed.
@@ -81,7 +82,7 @@ HELD_BY = "expert"
 """Expertise group of the hand for which a scale is chosen; this scale is used for all hands."""
 
 
-class Met(NamedTuple):
+class ExpectedForce(NamedTuple):
     """Force on the tool along a scene's scripted motion, and stiffness of a pressed tissue.
 
     Attributes
@@ -120,7 +121,7 @@ class Series(NamedTuple):
 
     Attributes
     ----------
-    yields_m_N
+    compliance_m_N
         Compliance s of coupling and hand [m/N].
     threshold_N
         Low-force term F0 [N].
@@ -128,13 +129,13 @@ class Series(NamedTuple):
         Weber fraction kappa.
     """
 
-    yields_m_N: float
+    compliance_m_N: float
     threshold_N: float
     weber: float
 
     @classmethod
     def of(cls, limits: DeviceParameters, constants: Materials) -> "Series":
-        """Return the compliance and the threshold for a device in a hand of the group `HELD_BY`."""
+        """Return compliance and threshold for a device that a user of the group `HELD_BY` holds."""
         limit = limits.stiffness_limit_N_m
         stiffness = limit if isfinite(limit) else USUAL_N_M
         hand = hand_parameters(HELD_BY, constants).stiffness_N_m
@@ -145,19 +146,19 @@ class Series(NamedTuple):
             felt["kappa"].value,
         )
 
-    def best_scale(self, met: Met) -> float:
+    def best_scale(self, expected: ExpectedForce) -> float:
         """Return the scale with the largest sensitivity; 1 for a tissue whose stiffness is 0."""
-        if not met.stiffness_N_m > 0.0:
+        if not expected.stiffness_N_m > 0.0:
             return 1.0
-        hidden_m = self.threshold_N * self.yields_m_N
-        felt = self.threshold_N / self.yields_m_N / (met.depth_m + hidden_m)
-        return sqrt(felt) / met.stiffness_N_m
+        hidden_m = self.threshold_N * self.compliance_m_N
+        felt = self.threshold_N / self.compliance_m_N / (expected.depth_m + hidden_m)
+        return sqrt(felt) / expected.stiffness_N_m
 
-    def sensitivity(self, met: Met, scale: float) -> float:
+    def sensitivity(self, expected: ExpectedForce, scale: float) -> float:
         """Return the sensitivity d' for two tissues with the stiffness ratio `STIFFER`."""
-        stiffness = scale * met.stiffness_N_m
-        yielding = 1.0 + stiffness * self.yields_m_N
-        force_N = stiffness * met.depth_m / yielding
+        stiffness = scale * expected.stiffness_N_m
+        yielding = 1.0 + stiffness * self.compliance_m_N
+        force_N = stiffness * expected.depth_m / yielding
         noticed_N = self.weber * (force_N + self.threshold_N)
         return D_PRIME_75 * log(STIFFER) / yielding * force_N / noticed_N
 
@@ -200,44 +201,49 @@ def chosen_scale(scene: Scene) -> ForceScale:
     if given != "auto":
         return ForceScale(given)
     limits = device_parameters(scene.held.kind, scene.constants)
-    met = force_met(scene)
-    if not met.force_N > 0.0:
+    expected = expected_force(scene)
+    if not expected.force_N > 0.0:
         return ForceScale(1.0)
     motion_scale = scene.device.coupling.motion_scale
-    at_device = Met(met.force_N, motion_scale * met.stiffness_N_m, met.depth_m / motion_scale)
+    at_device = ExpectedForce(
+        expected.force_N, motion_scale * expected.stiffness_N_m, expected.depth_m / motion_scale
+    )
     series = Series.of(limits, scene.constants)
     factor = scale_for(at_device, limits, series)
     why = (
-        f" (coupling.force_scale = auto, for a largest force of {met.force_N:.3g} N on the "
+        f" (coupling.force_scale = auto, for a largest force of {expected.force_N:.3g} N on the "
         "scripted motion"
     )
-    if not met.stiffness_N_m > 0.0:
+    if not expected.stiffness_N_m > 0.0:
         return ForceScale(factor, f"{why})")
     d_prime = series.sensitivity(at_device, factor)
-    why += f"; d′ {d_prime:.2g} expected for a tissue {STIFFER - 1.0:.0%} stiffer)"
+    why += (
+        f"; expected sensitivity d′ to a tissue that is {STIFFER - 1.0:.0%} stiffer: {d_prime:.2g})"
+    )
     return ForceScale(factor, why, d_prime)
 
 
-def scale_for(met: Met, limits: DeviceParameters, series: Series) -> float:
-    """Return the scale with the largest sensitivity, within the bounds `LEAST` and `MOST`.
+def scale_for(expected: ExpectedForce, limits: DeviceParameters, series: Series) -> float:
+    """Return the scale with the largest sensitivity, within two bounds.
 
-    The scale has two digits. The values in `met` must be forces, slopes and depths at the device
+    The bounds are `SMALLEST_FORCE_RATIO` and `LARGEST_FORCE_RATIO`. The scale is rounded down to
+    two significant digits. The values in `expected` must be forces, slopes and depths at the device
     for a force scale of 1.
     """
-    low = LEAST * limits.friction_N / met.force_N
-    high = MOST * limits.force_limit_N / met.force_N
-    scale = min(max(series.best_scale(met), low), high)
+    low = SMALLEST_FORCE_RATIO * limits.friction_N / expected.force_N
+    high = LARGEST_FORCE_RATIO * limits.force_limit_N / expected.force_N
+    scale = min(max(series.best_scale(expected), low), high)
     digits = 1 - floor(log10(scale))
     # The value is first rounded to nine digits, so that 0.3 stays 0.3.
     return floor(round(scale * 10.0**digits, 9)) / 10.0**digits
 
 
-def force_met(scene: Scene) -> Met:
+def expected_force(scene: Scene) -> ExpectedForce:
     """Return the force on the tool along the scripted motion of a scene.
 
     The force is 0 if it is not known.
     """
-    return _met(
+    return _expected_force(
         # These keys do not change the force on the scripted motion.
         scene.model_dump_json(exclude={"seed", "duration_s", "device", "fidelity"}),
         (scene.constants.key, *_file_stamps(scene)),
@@ -257,33 +263,33 @@ def _file_stamps(scene: Scene) -> list[tuple[str, int, int]]:
 
 
 @lru_cache(maxsize=64)
-def _met(table: str, _inputs: tuple[object, ...]) -> Met:
+def _expected_force(table: str, _inputs: tuple[object, ...]) -> ExpectedForce:
     """Return the force along the scripted motion of a scene; `table` is the scene as JSON text."""
     scene = Scene.read_back(table)
     entry = ANATOMIES[scene.anatomy.kind]
     if entry.build is not None:
-        return Met(0.0 if entry.force_N is None else float(entry.force_N(scene)))
+        return ExpectedForce(0.0 if entry.force_N is None else float(entry.force_N(scene)))
     if isinstance(scene.anatomy, WallAnatomy):
         stiffness = 1e3 * scene.anatomy.stiffness_kN_m
         depth = _depth_m(scene)
-        return Met(stiffness * depth, stiffness, depth)
+        return ExpectedForce(stiffness * depth, stiffness, depth)
     if isinstance(scene.tool, Tool):
-        return cut(scene)
+        return cutting_force(scene)
     if isinstance(scene.tool, Needle | Blade):
-        return crossed(scene)
-    return pressed(scene) if isinstance(scene.anatomy, SoftAnatomy) else Met(0.0)
+        return insertion_force(scene)
+    return pressing_force(scene) if isinstance(scene.anatomy, SoftAnatomy) else ExpectedForce(0.0)
 
 
-def cut(scene: Scene) -> Met:
+def cutting_force(scene: Scene) -> ExpectedForce:
     """Return the largest force on a cutter along the scripted motion, computed in coarse voxels.
 
     For a tool that is pushed by a thrust, the result is the thrust.
     """
     assert isinstance(scene.tool, Tool)
     if isinstance(scene.motion, ThrustMotion):
-        return Met(scene.motion.thrust_N)
+        return ExpectedForce(scene.motion.thrust_N)
     if scene.tool.spin_rpm == 0.0:
-        return Met(0.0)
+        return ExpectedForce(0.0)
     spacing_mm = max(scene.voxels.spacing_mm, scene.tool.diameter_mm / ACROSS)
     voxels = scene.voxels.model_copy(update={"spacing_mm": spacing_mm, "margin_mm": 0.0})
     coarse = scene.model_copy(update={"voxels": voxels})
@@ -293,7 +299,7 @@ def cut(scene: Scene) -> Met:
     spacing_m = (cutter.cutting_area_m2 / ELEMENTS) ** 0.5
     bone = VoxelBone.stated(volume, coarse.cutting, coarse.constants)
     model = bone.model(cutter, removal=voxels.removal, shell_spacing_m=spacing_m)
-    return Met(_largest(motion, model, POSES))
+    return ExpectedForce(_largest(motion, model, POSES))
 
 
 def _depth_m(scene: Scene) -> float:
@@ -301,7 +307,7 @@ def _depth_m(scene: Scene) -> float:
     return max(-float(motion_of(scene).sweep_m()[:, 2].min()), 0.0)
 
 
-def pressed(scene: Scene) -> Met:
+def pressing_force(scene: Scene) -> ExpectedForce:
     """Return the force of a probe on a half space, at the depth of the scripted motion.
 
     The force is computed with Hertz's law for a ball, and with Boussinesq's law for the flat end of
@@ -325,19 +331,19 @@ def pressed(scene: Scene) -> Met:
         slope = 2.0 * sqrt(radius * depth)
         depth *= 2.0 / 3.0
     elif tool.kind != "cylinder-probe":
-        return Met(0.0)
+        return ExpectedForce(0.0)
     slope *= 1e3 / (1.0 - ratio**2)
-    return Met(max(start, end) * slope * depth, sqrt(start * end) * slope, depth)
+    return ExpectedForce(max(start, end) * slope * depth, sqrt(start * end) * slope, depth)
 
 
-def crossed(scene: Scene) -> Met:
+def insertion_force(scene: Scene) -> ExpectedForce:
     """Return the largest force on a needle or a blade along the scripted motion."""
     is_needle = isinstance(scene.tool, Needle)
     build = organ_scene.pierced if is_needle else organ_scene.incised
     without_frames = scene.anatomy.model_copy(update={"interval_ms": 0.0})
     motion = motion_of(scene)
     parts = build(scene.model_copy(update={"anatomy": without_frames}), motion, report=silent)
-    return Met(_largest(motion, parts.tissue, FINE_POSES if is_needle else POSES))
+    return ExpectedForce(_largest(motion, parts.tissue, FINE_POSES if is_needle else POSES))
 
 
 def _largest(motion: Motion, tissue: TissueModel, poses: int) -> float:
