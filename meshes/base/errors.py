@@ -223,7 +223,7 @@ def require_direction(
     Raises
     ------
     InputError
-        If the value is not three finite numbers, or zero.
+        If the value is not three finite numbers, or if all three are zero.
     """
     import numpy as np
 

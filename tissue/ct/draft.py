@@ -52,7 +52,7 @@ class Draft:
     has_site: bool = True
 
     def write(self, out: Path, *, overwrite: bool, pictures: bool, progress: Progress) -> list[str]:
-        """Write the output folder; return `sentences` and a sentence for each picture that failed.
+        """Write the output folder; return `sentences`, and one more for each picture that failed.
 
         Files of an earlier import in the folder are removed first. Other files in the folder are
         kept.

@@ -132,7 +132,7 @@ def layer_grid(r: Array, z: Array, radius_m: float) -> LayerMesh:
     """Return the mesh with cell boundaries at the radii `r` and the heights `z` [m].
 
     `r` and `z` are in rising order. The nodes at the base are held, and the nodes on the axis are
-    held radially. `radius_m` is the radius of the ball [m].
+    held radially. `radius_m` is the radius [m] of the ball that presses the layers.
     """
     columns = 2 * len(r) - 1
     rows = 2 * len(z) - 1

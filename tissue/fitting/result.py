@@ -87,7 +87,7 @@ class ConstantFit:
 
     @property
     def doubt(self) -> str:
-        """Sentence on a value far outside its cited range."""
+        """Warning about a fitted constant far outside the range of its cited source."""
         is_below = self.z[1] < 0.0
         ratio = self.value / self.prior.high
         if is_below:

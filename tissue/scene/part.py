@@ -101,7 +101,7 @@ class Registry(Generic[T]):
         return unknown_name(self.key, (*others, *self), name)
 
     def split(self, text: str, *others: str) -> tuple[str, str]:
-        """Return the name of the part that a text selects, and the text after the colon.
+        """Return the name of the registered part in a text, and the text after its first colon.
 
         For ``observer:a.json``, the result is ``observer:FILE`` and ``a.json``.
 

@@ -100,7 +100,7 @@ class ExplicitCutting(Page):
     )
 
     def measure(self) -> Data:
-        """Find the longest stable step for several masses; vary the time step for one mass."""
+        """Find the longest stable step for each of several masses; vary the step for one mass."""
         # from far below the explicit limit, 1 on this axis, to a tick of some milliseconds
         steps = 2.0 * MASS_KG / drag_N_s_m() * np.geomspace(0.05, 200.0, 24)
 

@@ -29,7 +29,7 @@ def chart_scenes(
     overwrite: bool = False,
     report: Progress = silent,
 ) -> list[list[Frontier]]:
-    """Measure scenes at all numerical settings and draw the results.
+    """Measure the force error and computing time of scenes at all settings, and draw them.
 
     If `names` is empty, all built-in scenes are measured. For each scene, ``NAME.png`` and
     ``NAME.csv`` are written. The picture ``frontier.png`` shows all measured scenes.

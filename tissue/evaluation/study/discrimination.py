@@ -75,7 +75,7 @@ class Felt:
 
     @classmethod
     def over(cls, forces_N: Array, person: Ints, count: int) -> "Felt":
-        """Compute the statistics of each person from the forces in n trials [N], shape (n,).
+        """Compute the statistics of each person from the forces [N], shape (n,), of n trials.
 
         `person`, shape (n,), contains the index of the person in each trial. ``count`` is the
         number of people.

@@ -139,7 +139,7 @@ def run_trial(plan: Plan, key: TrialKey) -> Trial:
 def failures_of(trials: Iterable[Trial]) -> dict[str, list[str]]:
     """Return the names of failed trials, keyed by a text with the method and the failure.
 
-    Reasons that differ only in the time of the failure count as equal.
+    Two texts that differ only in the time of the failure are counted as the same reason.
     """
     found: dict[str, list[str]] = {}
     for trial in trials:

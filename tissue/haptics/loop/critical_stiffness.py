@@ -102,7 +102,7 @@ class LinearHand(NamedTuple):
 
 
 def in_hands(loop: WallLoop, hands: Sequence[tuple[float, ...]]) -> tuple[WallLoop, ...]:
-    """Return one copy of the loop for each hand; a hand has the entries of `LinearHand`."""
+    """Return one copy of the loop for each hand, given as the values of `LinearHand`'s fields."""
     return tuple(replace(loop, **LinearHand(*each)._asdict()) for each in hands)
 
 

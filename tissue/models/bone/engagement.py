@@ -282,7 +282,7 @@ class EngagedBone(MilledTissue):
         self._elements = EngagedElements(bone)
 
     def respond(self, motion: ToolMotion) -> Response:
-        """Return the tool area in bone and the removal rate, with a force of zero.
+        """Return a response with the tool area in bone, the removal rate, and zero force.
 
         `unit_loads` are computed at the motion's speed.
         """

@@ -190,7 +190,7 @@ def press(
 
 
 def surface_points_m(organ: SoftOrgan, probe: ProbeShape) -> Array:
-    """Return points on the surface of an organ that a tool may touch [m], shape (n, 3)."""
+    """Return points [m], shape (n, 3), on the part of an organ's surface that a tool may touch."""
     nodes = organ.space.nodes_m + organ.rest[1]
     triangles = linear_triangles(organ.space.faces)
     # A shell has its own contact points, so no points on the organ are needed.

@@ -114,7 +114,7 @@ class HexGrid:
 
     @cached_property
     def node_neighbours(self) -> Int32s:
-        """Nodes that share a cell with each node, int32, shape (n, 27).
+        """For each node, indices of the nodes that share one of its cells, int32, shape (n, 27).
 
         The columns are in the order of `NEIGHBOURS`; -1 means that there is no such node.
         """
