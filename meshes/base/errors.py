@@ -72,10 +72,18 @@ class InputError(ValueError):
     def __str__(self) -> str:
         message = self.argument
         if self.requirement:
-            value = f"{self.value} {self.unit}" if self.unit else self.value
-            received = "" if value is PRESENT else f", got {value}"
-            message = f"{message} must {self.requirement}{received}. {_sentence(self.remedy)}"
+            message = f"{message} must {self.requirement}{self._received()}. "
+            message += _sentence(self.remedy)
         return message.replace("\n", "\\n")
+
+    def _received(self) -> str:
+        """Return the part of the message with the value, or "" if the requirement implies it."""
+        if self.value is PRESENT or self.requirement.startswith("be left out"):
+            return ""
+        if self.requirement.startswith("be given") and self.value in ("none", "nothing", None):
+            return ""
+        value = self.value if str(self.value) else "an empty value"
+        return f", got {value} {self.unit}" if self.unit else f", got {value}"
 
 
 def _sentence(remedy: str) -> str:

@@ -164,10 +164,7 @@ def _idle_error(names: tuple[str, ...], refused: Mapping[str, tuple[object, Idle
     given = {
         ".".join((*names, key)): value for key, (value, why) in refused.items() if why == first
     }
-    if len(given) == 1:
-        got = shown(next(iter(given.values())))
-    else:
-        got = ", ".join(f"{key} = {shown(value)}" for key, value in given.items())
+    got = ", ".join(shown(value) for value in given.values())
     remove = f"remove {' and '.join(given)}"
     wanted = f"be left out {first.where}"
     return InputError(" and ".join(given), wanted, got, f"{first.remedy}, or {remove}")
@@ -300,8 +297,8 @@ def _of_another_kind(given: _Place, meant: _Place, table: Table) -> InputError:
     remedy = f"set {part}.kind = {kinds_of(others[0])[0]}"
     own = [f"{part}.{name}" for name in closest(given.names[-1], chosen.model_fields)]
     if own and part in ("tool", "anatomy"):
-        got = f"{shown(given.value)}{did_you_mean(own)}"
-        return InputError(given.key, f"be left out for {where}", got, "rename or remove it")
+        wanted = f"be left out for {where}{did_you_mean(own)}"
+        return InputError(given.key, wanted, shown(given.value), "rename or remove it")
     if part == "tool":
         family = next((base for base in (Tool, Probe) if issubclass(chosen, base)), chosen)
         alike = [each for each in others if issubclass(each, family)]
@@ -328,13 +325,12 @@ def _of_another_kind(given: _Place, meant: _Place, table: Table) -> InputError:
         remedy = "leave its file out" if is_plain else f"use one {' or '.join(sources)}"
     elif meant.names[-1] == getattr(others[0], "drive", "") and hasattr(chosen, "drive"):
         remedy = f"set {part}.{chosen.drive}, which drives this scene, or {remedy}"
-    got = shown(given.value)
-    if given != meant:
-        got += did_you_mean([meant.key])
+    hint = did_you_mean([meant.key]) if given != meant else ""
     remedy = _of_density(given.names, table) or (
         f"{remedy}, or remove it" if remedy else "remove it"
     )
-    return InputError(given.key, f"be left out for {where}", got, remedy)
+    wanted = f"be left out for {where}{hint}"
+    return InputError(given.key, wanted, shown(given.value), remedy)
 
 
 def _of_another_tool(place: _Place, table: Table, chosen: type[BaseModel]) -> InputError:

@@ -401,7 +401,7 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
     if name := hindrance(organ):
         raise InputError(
             f"organ.law and organ.{name}",
-            "be left out together",
+            "not be combined",
             f"{organ.law} and {shown(getattr(organ, name))}",
             (
                 f"set organ.law=linear or remove organ.{name}: a law of large strains "

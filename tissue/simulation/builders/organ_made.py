@@ -213,7 +213,7 @@ class StatedOrgan:
         if table is not None and "density_kg_m3" in given:
             raise InputError(
                 "law and density_kg_m3",
-                "be left out together",
+                "not be combined",
                 f"{table.law} and {given['density_kg_m3']}",
                 "remove one of the two: a law of large strains supports no weight",
             )
