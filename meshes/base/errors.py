@@ -104,6 +104,12 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
+def in_words(names: Iterable[object], last: str = "and") -> str:
+    """Join names with commas and a word before the last name, for example "a, b and c"."""
+    *first, end = map(str, names)
+    return f"{', '.join(first)} {last} {end}" if first else end
+
+
 def by(numbers: Iterable[float], form: str = "g") -> str:
     """Format the sizes of several axes as text, for example "3 x 4 x 5"."""
     return " x ".join(format(number, form) for number in numbers)

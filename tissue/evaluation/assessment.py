@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from meshes.base.arrays import Array, Flags, Ints
-from meshes.base.errors import InputError, require_positive
+from meshes.base.errors import InputError, counted, require_positive
 from tissue.evaluation.same_task import (
     AssessedRun,
     coupling_notes,
@@ -402,12 +402,13 @@ def _notes(trainee: AssessedRun, reference: AssessedRun) -> Iterator[str]:
 def _trace(run: AssessedRun, name: str) -> Table:
     """Return the trace of a run; raise InputError if it has fewer than ten ticks."""
     # a path needs several ticks
-    if run.trace is None or len(run.trace.rows) < 10:
-        got = run.path or "a run"
+    ticks = 0 if run.trace is None else len(run.trace.rows)
+    if run.trace is None or ticks < 10:
+        got = f"{run.path or 'a run'} with {counted(ticks, 'tick')}"
         raise InputError(
             name,
-            "hold a trace of ten ticks or more",
-            f"{got} without such a trace",
+            "have a trace of at least ten ticks",
+            got,
             "run the scene again",
         )
     return run.trace

@@ -208,7 +208,7 @@ def rank(
         if not runs:
             raise InputError(
                 "folder",
-                "hold at least one run for each trainee",
+                "contain at least one run of each trainee",
                 f"no run in {person}",
                 f"remove the folder {person}",
             )
@@ -251,9 +251,9 @@ def rank(
     if not has_assessed:
         raise InputError(
             "folder",
-            "hold folders of trainees",
+            "contain folders of trainees",
             f"none in {folder}",
-            "give the folder that holds one folder for each trainee",
+            "give the folder that contains one folder for each trainee",
         )
     people.sort(key=lambda person: (person.breached_share, -person.mean))
     scene = str(reference.summary.get("scene"))

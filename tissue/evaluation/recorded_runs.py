@@ -197,8 +197,8 @@ class Recorder:
             raise InputError(
                 "scene",
                 "give finite forces",
-                f"forces that are not finite with seed {scene.seed}",
-                "use another --trials",
+                f"NaN or infinity with seed {scene.seed}",
+                "use another number of --trials",
             )
         speed = ConstantAcceleration(VELOCITY_MEMORY, step_s=TICK_S)
         velocity = np.array([speed.step(place) for place in (begin, *rows[:, :3])])[1:]

@@ -100,7 +100,7 @@ def require_same_task(trainee: AssessedRun, reference: AssessedRun) -> None:
         differences += _different_constants(trainee, reference)
     if differences:
         key, first, second = differences[0]
-        raise OtherTaskError(f"{key} = {first} and {second}")
+        raise OtherTaskError(f"{key} = {first} in the run and {second} in the reference")
 
 
 def _different_constants(

@@ -120,7 +120,7 @@ def steadiness(
         raise InputError(
             "run",
             f"last at least {LEAST_WINDOWS * WINDOW_S:g} s",
-            f"{len(position_m) * TICK_S:g}",
+            f"{len(position_m) * TICK_S:g} s",
             "record a longer run",
         )
     _require_motion(position_m, hand_parameters(NOVICE, constants), scored)

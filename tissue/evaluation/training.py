@@ -172,12 +172,15 @@ def fit(scene: str, runs: Sequence[Recording]) -> Trained:
     """
     if len(runs) < LEAST_RUNS:
         raise InputError(
-            "trials", f"leave at least {LEAST_RUNS} to learn from", len(runs), "use more trials"
+            "trials",
+            f"leave at least {LEAST_RUNS} runs to learn from",
+            len(runs),
+            "use more trials",
         )
     if not any(run.force_N.any() for run in runs):
         raise InputError(
             "scene",
-            "have a tool that touches",
+            "have a tool that touches the tissue",
             "no force in any trial",
             "use a longer duration_s, or a deeper path",
         )

@@ -2,7 +2,7 @@
 
 import pickle
 
-from meshes.base.errors import PRESENT, InputError
+from meshes.base.errors import PRESENT, InputError, in_words
 
 
 def test_the_message_of_a_flag_does_not_print_its_value():
@@ -14,3 +14,9 @@ def test_the_message_of_a_flag_does_not_print_its_value():
 def test_a_value_that_is_a_word_is_printed():
     error = InputError("region", "be a label", "it", "choose a label")
     assert str(error) == "region must be a label, got it. Choose a label"
+
+
+def test_the_last_of_several_names_follows_a_word():
+    assert in_words(["a"]) == "a"
+    assert in_words(("a", "b"), "or") == "a or b"
+    assert in_words(iter([1, 2, 3])) == "1, 2 and 3"

@@ -104,9 +104,8 @@ from tissue.scene.load import scene_names
         ),
         (
             ("calibrate", "--observer", "simulated:x"),
-            "observer must be simulated:SEED or simulated:GROUP:SEED with novice, "
-            "intermediate, expert, got "
-            "simulated:x. Use simulated:1",
+            "observer must be simulated:SEED or simulated:GROUP:SEED with the group novice, "
+            "intermediate or expert, got simulated:x. Use simulated:1",
         ),
         (
             ("view", "runs"),

@@ -222,7 +222,7 @@ def test_the_name_of_the_scene_may_differ(tmp_path):
     assert note == "the scenes have other names: trainee deep, reference milling"
     # without the scene of a run, only the name is known
     trainee.scene = None
-    with pytest.raises(InputError, match="got scene = deep and block"):
+    with pytest.raises(InputError, match="got scene = deep in the run and block in the reference"):
         assess(trainee, reference)
 
 
@@ -404,7 +404,10 @@ def test_a_run_that_breached_a_structure_is_never_ranked_above_one_that_did_not(
     assert [person.name for person in found.people] == ["careful", "steady"]
     assert found.people[1].mean > found.people[0].mean
     (left_out,) = found.left_out
-    assert "wide is of another task than the reference: tool.diameter_mm = 5 and 6" in left_out
+    assert (
+        "wide is of another task than the reference: tool.diameter_mm = 5 in the run and 6 "
+        in left_out
+    )
     ((note, noted),) = found.notes.items()
     assert note == (
         "coupling.motion_scale is 0.5, and 1 in careful: the scores of these runs are not "

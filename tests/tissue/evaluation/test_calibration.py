@@ -91,17 +91,17 @@ def change(lines, number, **entries):
         (lambda lines: change(lines, 24, force_N=-0.3), "trial must belong to the plan"),
         (lambda lines: [*lines[:3], *lines[4:]], "trial must be 2, got 3"),
         (lambda lines: [*lines[:4], *lines[3:]], "trial must be 3, got 2"),
-        (lambda lines: [*lines[:3], "x", *lines[4:]], "in line 4 of"),
-        (lambda lines: [*lines[:3], "[]", *lines[4:]], "in line 4 of"),
+        (lambda lines: [*lines[:3], "x", *lines[4:]], "with an error in line 4 (no trial). "),
+        (lambda lines: [*lines[:3], "[]", *lines[4:]], "with an error in line 4 (no trial). "),
         (
             lambda lines: change(lines, 0, version=9),
             "log must be of format 1 or older, got 9, written by tissue",
         ),
         (lambda lines: change(lines, 0, format="other"), "with other content"),
-        (lambda lines: change(lines, 0, plan={}), "log must begin with a line that holds a plan"),
+        (lambda lines: change(lines, 0, plan={}), "log must contain a plan in its first line"),
         (
             lambda lines: change(lines, 0, observer="other"),
-            "got a session of another observer or plan (other)",
+            "got a session of the observer other in ",
         ),
         (lambda lines: ["time,force", "0,1"], "with other content"),
     ],
@@ -156,16 +156,19 @@ def test_a_log_that_cannot_be_gone_on_with_is_refused_and_kept(log, damaged, mes
                 "sigma-7, openhaptics, network, recorded, got phantom"
             ),
         ),
-        (("--population", "nowhere"), "population must be a folder of sessions, got nowhere"),
-        (("--population", "."), "population must hold three sessions or more"),
+        (
+            ("--population", "nowhere"),
+            "population must be an existing folder of sessions, got nowhere",
+        ),
+        (("--population", "."), "population must contain at least three sessions"),
         (("--observer", "simulated:1", "--out", "."), "out must be a file, got the folder ."),
         (
             ("--observer", "simulated:1", "--out", "a.png"),
-            "out must be the name of a file that ends in .json, got a.png",
+            "out must end in .json, got a.png",
         ),
         (
             ("--population", ".", "--out", "a"),
-            "out must be the name of a file that ends in .json, got a",
+            "out must end in .json, got a. ",
         ),
     ],
 )

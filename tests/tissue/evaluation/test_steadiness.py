@@ -150,7 +150,7 @@ def test_the_command_ranks_a_folder_of_trainees(runs, command, refused, here):
         assert known["intervals_over_deviation_limit"] == "0"
         assert known["intervals_over_depth_limit"] == "0"
     (here / "people" / "nobody").mkdir(parents=True)
-    assert "folder must hold at least one run for each trainee" in refused(
+    assert "folder must contain at least one run of each trainee" in refused(
         "assess", "people", "--against", reference
     )
     assert "--deviation-limit-mm must be left out without --against" in refused(
@@ -240,7 +240,7 @@ def test_a_run_without_a_device_or_too_short_has_no_score(tmp_path):
     known = dict(zip(header.split(","), row.split(","), strict=True))
     assert known["trainee"] == "scripted" and known["rank"] == known["score"] == ""
     assert float(known["peak_force_N"]) > 0.0 and float(known["removed_mm3"]) > 0.0
-    with pytest.raises(InputError, match=r"run must last at least 1 s, got 0\.9\. "):
+    with pytest.raises(InputError, match=r"run must last at least 1 s, got 0\.9 s\. "):
         steadiness(FREE[:900], FREE[:900], DEVICE)
     with pytest.raises(InputError, match=r"at 6\.3 mm/s or faster for 0 % of the scored 4") as slow:
         steadiness(0.1 * shaken(1e-4), FREE, DEVICE)

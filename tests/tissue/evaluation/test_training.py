@@ -118,7 +118,7 @@ def test_runs_without_a_touch_set_no_figure():
     with pytest.raises(InputError, match="trials must leave a run with contact"):
         validated(trained, [free], 3.3)
     still = replace(run, position_m=np.zeros_like(run.position_m))
-    for runs, fault in (([free] * 8, "touches"), ([still] * 8, "moves in contact")):
+    for runs, fault in (([free] * 8, "touches"), ([still] * 8, "motion of the tool in contact")):
         with warnings.catch_warnings(), pytest.raises(InputError, match=fault):
             warnings.simplefilter("error")
             fit("wall", runs)
@@ -165,7 +165,7 @@ def test_a_chart_takes_the_trained_file_of_one_scene(command, here):
     with pytest.raises(InputError, match=r"tissue chart prediction own-wall --predictor-file own"):
         predictable([own])
     assert predictable([own], Path("own.npz")) == ([own], [])
-    with pytest.raises(InputError, match="--predictor-file must be given with one scene"):
+    with pytest.raises(InputError, match="--predictor-file must be given with only one scene"):
         predictable([own, load_scene("wall")], Path("own.npz"))
     code, _, error = command("chart", "wall", "--predictor-file", "own.npz")
     assert code == 2 and "--predictor-file must be left out unless predictors are charted" in error

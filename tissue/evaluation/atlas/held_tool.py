@@ -103,7 +103,10 @@ class Course:
         """First tick in contact. Raises InputError if no tick is in contact."""
         if not self.touches.any():
             raise InputError(
-                "duration_s", "reach the first contact", "no contact", "use a longer duration_s"
+                "duration_s",
+                "be long enough for the tool to touch the tissue",
+                "a run without contact",
+                "use a longer duration_s",
             )
         return int(np.argmax(self.touches))
 

@@ -12,7 +12,7 @@ from time import perf_counter, sleep
 
 import numpy as np
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, in_words
 from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import number_in
 from meshes.base.whole_file import require_new_file
@@ -245,7 +245,7 @@ def simulated_observer(spec: str) -> tuple[SimulatedObservers, int]:
     ):
         raise InputError(
             "observer",
-            f"be simulated:SEED or simulated:GROUP:SEED with {', '.join(GROUPS)}",
+            f"be simulated:SEED or simulated:GROUP:SEED with the group {in_words(GROUPS, 'or')}",
             spec,
             "use simulated:1",
         )
@@ -303,7 +303,10 @@ def questioner(
         opened = new_device(device, Hardware(address=address, ramp_ms=0.0), start_m=(0.0, 0.0, 0.0))
     if address and opened is None:
         raise InputError(
-            "--address", "be given only for a real device", address, "set --device, such as haply"
+            "--address",
+            "be given only for a real device",
+            address,
+            "leave it out, or set --device to a real device such as haply",
         )
     if observer is not None:
         people, observer_seed = simulated_observer(observer)
@@ -334,9 +337,7 @@ def begin(out: Path, observer: str, plan: Plan, *, overwrite: bool) -> TrialLog:
         If `out` exists and `overwrite` is false, or if the log belongs to another session.
     """
     if out.suffix != ".json":
-        raise InputError(
-            "out", "be the name of a file that ends in .json", out, "use observer.json"
-        )
+        raise InputError("out", "end in .json", out, "use observer.json")
     path = log_path(out)
     picture = out.with_suffix(".png")
     for each in (out, picture):

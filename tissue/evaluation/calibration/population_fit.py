@@ -80,17 +80,15 @@ def fit_population(
     """
     table = out.with_name(out.stem + ".table.csv")
     if out.suffix != ".json":
-        raise InputError(
-            "out", "be the name of a file that ends in .json", out, "use population.json"
-        )
+        raise InputError("out", "end in .json", out, "use population.json")
     for path in (out, table):
         require_new_file(path, overwrite=overwrite)
     if not folder.is_dir():
         raise InputError(
             "population",
-            "be a folder of sessions",
+            "be an existing folder of sessions",
             folder,
-            "record sessions by `tissue calibrate` first",
+            "record sessions with `tissue calibrate` first",
         )
     paths = sorted(folder.glob("*.trials.jsonl"))
     empty = []
@@ -105,9 +103,9 @@ def fit_population(
     if len(sessions) < 3:
         raise InputError(
             "population",
-            "hold three sessions or more with comparisons and numbers",
+            "contain at least three sessions with comparisons and numbers",
             f"{len(sessions)} in {folder}",
-            "calibrate more people",
+            "record sessions of more people with `tissue calibrate`",
         )
     fit = fit_hierarchy(pooled_trials(sessions), seed=seed, progress=progress)
     person = new_person(

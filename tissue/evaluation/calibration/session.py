@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import logit
 from scipy.stats import binom
 
-from meshes.base.errors import InputError, counted, require_range
+from meshes.base.errors import InputError, counted, in_words, require_range
 from meshes.base.file_limits import require_regular
 from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import read_json
@@ -65,7 +65,10 @@ class Plan:
         counts = (self.seed, self.trials, self.numbers)
         if not all(isinstance(each, int) for each in counts):
             raise InputError(
-                "plan", "have whole numbers of trials", counts, "leave out decimal points"
+                "plan",
+                "have whole numbers as seed, trials and numbers",
+                in_words(counts),
+                "write them without a decimal point",
             )
         if self.trials + self.numbers == 0:
             raise InputError(
@@ -340,9 +343,11 @@ class TrialLog:
                 if who != observer or self.session.plan != plan:
                     raise InputError(
                         "out",
-                        "hold a session of this observer and plan",
-                        f"a session of another observer or plan ({who}) in {path}",
-                        "use the same observer and plan, another --out, or --overwrite",
+                        "contain a session of this observer and plan",
+                        f"a session of the observer {who} with another plan in {path}"
+                        if who == observer
+                        else f"a session of the observer {who} in {path}",
+                        "use the same observer and plan, choose another --out, or pass --overwrite",
                     )
                 kept = text[: text.rfind(b"\n") + 1]
                 self.repaired = kept != text
@@ -394,11 +399,11 @@ def read_log(path: Path) -> tuple[str, Session]:
     try:
         text = path.read_bytes().decode()
     except (OSError, UnicodeDecodeError) as problem:
-        found = str(problem.strerror) if isinstance(problem, OSError) else "other data"
+        found = str(problem.strerror) if isinstance(problem, OSError) else "not a text file"
         raise InputError(
             "log",
             "be a file of trials",
-            f"{found} in {path}",
+            f"{path} ({found})",
             "give a log that `tissue calibrate` wrote",
         ) from problem
     lines = text[: text.rfind("\n") + 1].splitlines()
@@ -418,7 +423,7 @@ def read_log(path: Path) -> tuple[str, Session]:
     except (KeyError, TypeError, InputError) as problem:
         raise InputError(
             "log",
-            "begin with a line that holds a plan",
+            "contain a plan in its first line",
             f"another first line in {path}",
             "start a new session",
         ) from problem
@@ -430,11 +435,11 @@ def read_log(path: Path) -> tuple[str, Session]:
                 raise InputError(f"trial must be {session.trial}, got {trial}")
             session.take(asked, answer)
         except (ValueError, KeyError, TypeError) as problem:
-            wrong = problem if isinstance(problem, InputError) else "something else"
+            wrong = problem if isinstance(problem, InputError) else "no trial"
             raise InputError(
                 "log",
-                "hold one trial of its session in each line",
-                f"{wrong} in line {number} of {path}",
+                "contain one trial of its session in each line",
+                f"{path} with an error in line {number} ({wrong})",
                 "fix that line or choose another --out",
             ) from problem
     return who, session

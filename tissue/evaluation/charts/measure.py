@@ -247,7 +247,7 @@ def _first_contact_s(scene: Scene, span_s: float) -> float:
                 "scene",
                 "have a tool that touches the tissue",
                 f"no contact in {scene.name}",
-                "move the tool of the scene further",
+                "change the scene's motion so that the tool reaches the tissue",
             )
         return {"time_s": TICK_S * touching[:1].astype(float)}
 

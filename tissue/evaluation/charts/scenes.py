@@ -5,6 +5,7 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 
+from meshes.base.errors import in_words
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import write_text
 from tissue.evaluation.charts.frontier import Frontier, frontier_of, write_measured
@@ -87,8 +88,8 @@ def notes_before(names: Sequence[str]) -> list[str]:
         for kind in charted(load_scene(name)):
             if kind.device is not None and (missing := untrained(kind)):
                 notes.append(
-                    f"{name}: {', '.join(missing)} are left out, because they are not trained. "
-                    f"Train one with 'tissue train {name}'."
+                    f"{name}: the chart omits {in_words(missing)}, because no trained predictor "
+                    f"was found. Train one with 'tissue train {name}'."
                 )
     return notes
 

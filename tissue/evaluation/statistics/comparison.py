@@ -103,7 +103,10 @@ def compare(
     factors = [each for each in factors if len(each[1]) > 1]
     if not factors:
         raise InputError(
-            "table", "hold two methods or two groups", "one of each", "add a second method or group"
+            "table",
+            "have at least two methods or two groups",
+            "one of each",
+            "add a second method or group",
         )
     tests = []
     pairs: list[HypothesisTest] = []
@@ -180,7 +183,7 @@ def stratum_test(
         raise InputError(
             cells.metric,
             "vary among users",
-            f"no variation other than {name}",
+            f"no variation except by {name}",
             "report its values without a test",
         )
     scores = pair_scores(values, sizes, factor_indices)

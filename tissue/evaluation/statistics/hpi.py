@@ -140,7 +140,7 @@ def composite_index(
         flat = spread <= 1e-12 * np.abs(chosen).max(axis=0)
         if flat.any():
             raise InputError(
-                names[flat.argmax()], "vary within a task", "a constant", "leave it out"
+                names[flat.argmax()], "vary within a task", "a constant value", "leave it out"
             )
         scaled[tasks == task] = (chosen - chosen.mean(axis=0)) / spread
     people, person = np.unique(table.people()[kept], return_inverse=True)

@@ -135,10 +135,8 @@ def require_statsmodels() -> None:
         import statsmodels  # noqa: F401
     except ImportError:
         raise InputError(
-            "statsmodels",
-            "be installed for the statistics of a study",
-            "none",
-            f"run {install_command('study')}",
+            "statsmodels must be installed for the statistics of a study. Run "
+            f"{install_command('study')}"
         ) from None
 
 
@@ -251,8 +249,8 @@ def normal_residuals(residuals: ArrayLike) -> Assumption:
         raise InputError(
             name,
             "vary",
-            f"{values[0]:g} throughout",
-            "leave it out: constant values have no distribution to test",
+            f"{values[0]:g} in all rows",
+            "leave this test out: constant values have no distribution to test",
         )
     p_values = {"Shapiro-Wilk": shapiro(values).pvalue} if len(values) <= MOST else {}
     p_values["Anderson-Darling"] = normal_ad(values)[1]

@@ -54,7 +54,7 @@ def force_error(force_N: ArrayLike, ideal_N: ArrayLike) -> float:
     size = float(np.linalg.norm(ideal))
     if size == 0.0:
         raise InputError(
-            "ideal_N", "not be zero throughout", "no contact", "use a trial with contact"
+            "ideal_N", "not be zero in all ticks", "no contact", "use a trial with contact"
         )
     return float(np.linalg.norm(force - ideal)) / size
 
@@ -120,12 +120,14 @@ def latency_ms(
         raise InputError(
             "longest_ms",
             "be at least one tick and less than half of the trial",
-            f"{longest_ms:g} for {len(force)} ticks",
+            f"{longest_ms:g} for a trial of {1e3 * tick_s * len(force):g} ms",
             "use 50 ms and a longer trial",
         )
     for name, signal in (("force_N", force), ("ideal_N", ideal)):
         if np.ptp(signal, axis=0).max() == 0.0:
-            raise InputError(name, "vary", "a constant", "use a trial in which the force changes")
+            raise InputError(
+                name, "vary", "a constant force", "use a trial in which the force changes"
+            )
     match = np.array([_correlation(force, ideal, shift) for shift in range(-reach, reach + 1)])
     best = int(match.argmax())
     if best in (0, 2 * reach):
@@ -187,8 +189,8 @@ def spectral_arc_length(speed_mm_s: ArrayLike, *, tick_s: float) -> float:
     if len(loud) < 2:
         raise InputError(
             "speed_mm_s",
-            "hold a movement with at least two frequencies",
-            f"{len(loud)} frequencies below {SPARC_CUTOFF_HZ:g} Hz",
+            f"contain at least two frequencies below {SPARC_CUTOFF_HZ:g} Hz",
+            len(loud),
             "use a longer trial",
         )
     chosen = slice(loud[0], loud[-1] + 1)

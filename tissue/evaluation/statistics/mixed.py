@@ -12,7 +12,7 @@ from scipy.special import gammaln, stdtr
 from scipy.stats import f
 
 from meshes.base.arrays import Array, Ints
-from meshes.base.errors import InputError, counted
+from meshes.base.errors import InputError, counted, in_words
 from tissue.evaluation.statistics.hypothesis_test import (
     LEVEL,
     Assumption,
@@ -64,7 +64,7 @@ def mixed_model(table: TrialTable, metric: str) -> list[HypothesisTest]:
     if not within and group_count < 2:
         raise InputError(
             "table",
-            "hold two groups, tasks or methods",
+            "have at least two groups, tasks or methods",
             "one of each",
             "add a second group, task or method",
         )
@@ -281,7 +281,7 @@ def regression(
     for name, column in zip((response, *predictors), (answers, *columns.T), strict=True):
         if np.ptp(column) == 0.0:
             raise InputError(
-                name, "vary", f"{column[0]:g} throughout", "leave it out of the regression"
+                name, "vary", f"{column[0]:g} in all rows", "leave it out of the regression"
             )
     if len(names) < 2:
         raise InputError(
@@ -296,7 +296,7 @@ def regression(
     # rounding of standardised columns, whose singular values grow with the number of rows
     if np.linalg.matrix_rank(design, tol=1e-8 * len(design)) < design.shape[1]:
         raise InputError(
-            "predictors", "not repeat one another", ", ".join(predictors), "leave one of them out"
+            "predictors", "not repeat one another", in_words(predictors), "leave one of them out"
         )
     standard = (answers - answers.mean()) / size
     nodes, weights = np.polynomial.legendre.leggauss(NODES)

@@ -273,7 +273,7 @@ def multivariate(
     if not width or len(scores) - len(counts) <= width or (between and len(counts) < 2):
         raise InputError(
             "users",
-            "be more than groups and columns together, with two groups or methods to compare",
+            "outnumber the groups and columns together, with two groups or methods to compare",
             f"{len(scores)} users, {len(counts)} groups and {width} columns",
             "add users or drop metrics",
         )
@@ -284,7 +284,7 @@ def multivariate(
         raise InputError(
             "columns",
             "not be multiples of one another",
-            question,
+            f"dependent columns in the test of {question}",
             "leave out a metric that repeats another one",
         )
     found = pillai(scaled, groups, between=between)

@@ -112,7 +112,10 @@ class TrialTable:
         for before, after in pairwise(keys):
             if before == after:
                 raise InputError(
-                    "trial", "be given once", f"{_describe(after)} twice", "remove one of the two"
+                    "trial",
+                    "be given only once",
+                    f"{_describe(after)} twice",
+                    "remove one of the two",
                 )
         labels: dict[str, Any] = {
             name: np.array([str(row.get(name, "")) for row in listed]) for name in KEYS

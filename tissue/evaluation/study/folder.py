@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 
-from meshes.base.errors import InputError, require_range
+from meshes.base.errors import InputError, in_words, require_range
 from meshes.base.file_limits import require_regular
 from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress, silent
@@ -123,12 +123,12 @@ class StudyFolder:
                     if value != getattr(plan, name)
                 }
                 other = ", ".join(
-                    f"{name} {', '.join(map(str, value)) if isinstance(value, tuple) else value}"
+                    f"{name} = {in_words(value) if value and isinstance(value, tuple) else value}"
                     for name, value in values.items()
                 )
                 raise InputError(
                     "out",
-                    "hold trials of the same study",
+                    "contain trials of the same study",
                     f"a study with {other} in {self.path}",
                     "choose another folder",
                 )
@@ -141,7 +141,7 @@ class StudyFolder:
         ):
             raise InputError(
                 "out",
-                "be empty or hold this study",
+                "be empty or contain this study",
                 f"other files in {self.path}",
                 "choose another folder",
             )
@@ -177,9 +177,9 @@ class StudyFolder:
             if made != package_version():
                 raise InputError(
                     "study",
-                    f"be of tissue {package_version()}",
+                    f"be recorded with tissue {package_version()}",
                     # a damaged file may hold any text
-                    f"{str(made)[:40]} in {path}",
+                    f"tissue {str(made)[:40]} in {path}",
                     "run the study in a new folder: trials of two versions are not combined",
                 )
             fields = {name: tuple(held[name]) for name in ("tasks", "groups", "methods")}
@@ -259,7 +259,7 @@ class StudyFolder:
         if not rows:
             raise InputError(
                 "study",
-                f"hold trials of {', '.join(tasks)}",
+                f"contain trials of {in_words(tasks, 'or')}",
                 f"none in {self.path}",
                 "run the study first",
             )

@@ -264,7 +264,7 @@ class TrialKey:
         task, group, number, *_ = *name.split("-", 2), "", ""
         if task not in TASKS or group not in GROUPS or not number.isdecimal():
             raise InputError(
-                "trial", "be the name of a trial's file", name, "use for example T1-novice-0007"
+                "trial", "be the name of a trial file", name, "use for example T1-novice-0007"
             )
         return cls(task, group, int(number))
 

@@ -87,7 +87,10 @@ def pierce(scene: Scene, *, kappa: float, offset_N: float, rate_N_s: float = RAT
     """
     if scene.device is None or not isinstance(scene.motion, PathMotion):
         raise InputError(
-            "scene", "have a device and a motion of kind path", "none", "set device, such as touch"
+            "scene",
+            "have a device and a motion of kind path",
+            "no device" if scene.device is None else "another motion",
+            "set device, such as touch, and a motion of kind path",
         )
     require_positive("rate_N_s", rate_N_s, f"use a value such as {RATE_N_S:g}")
     start, end = 1e-3 * np.array(scene.motion.points_mm[:2])

@@ -123,8 +123,8 @@ def register(
     if not kept and path.is_file() and path.read_bytes() != text:
         raise InputError(
             "out",
-            f"hold no {PLAN_FILE} of another origin",
-            f"a foreign {PLAN_FILE} in {folder}",
+            f"contain no {PLAN_FILE} other than the plan of this study",
+            f"another {PLAN_FILE} in {folder}",
             "choose another folder, or write the file with `tissue study plan`",
         )
     with whole_file(path) as temporary:
@@ -189,7 +189,7 @@ def require_unchanged(folder: Path, held: list[Registration], plan: Plan) -> Non
             raise InputError(
                 each["file"],
                 # twelve digits of a checksum are enough to compare by eye
-                f"be as it was registered (SHA-256 {str(each['sha256'])[:12]})",
+                f"have the registered SHA-256 {str(each['sha256'])[:12]}",
                 f"{got[:12] or 'no such file'} in {folder}",
                 "restore the registered file, or run the changed plan in a new folder",
             )

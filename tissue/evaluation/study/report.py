@@ -92,7 +92,7 @@ def sections_of(folder: StudyFolder, *, report: Progress = silent) -> list[Secti
         if not len(whole):
             raise InputError(
                 "study",
-                "hold a trial that did not fail",
+                "contain at least one trial without a failure",
                 counted(table.failed, "failure"),
                 "see the reasons in trials.csv",
             )

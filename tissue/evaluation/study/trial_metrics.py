@@ -115,7 +115,7 @@ def _pierced(run: Run) -> dict[str, float]:
         raise InputError(
             "capsule",
             "be punctured before the hand stops in a trial",
-            f"a hand that stopped at {noticed:g} s",
+            "no puncture" if noticed == inf else f"a hand that stopped at {noticed:g} s",
             "check the threshold of the hand",
         )
     at = round(puncture / TICK_S)
