@@ -254,7 +254,8 @@ def viewer_scripts() -> tuple[list[str], list[str]]:
             text = file.read_text("utf-8")
     if "OfflineLocalView" not in text:
         raise InputError(
-            "report", "have the vtk.js viewer of trame-vtk", "none", "pip install -U trame-vtk"
+            "the report needs the vtk.js viewer of trame-vtk, which was not found. Run pip install "
+            "-U trame-vtk"
         )
     classic: list[str] = []
     modules: list[str] = []

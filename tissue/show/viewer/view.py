@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import IO
 
-from meshes.base.errors import PRESENT, InputError, require_range
+from meshes.base.errors import PRESENT, InputError, in_words, require_range
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import require_new_file, whole_file
 from tissue.show.viewer.run_scene import Choice, times_of
@@ -140,9 +140,7 @@ def _check_arguments(
 def _require_display(instead: str) -> None:
     problem = display_problem()
     if problem is not None:
-        raise InputError(
-            f"view must have a display to open a window, but {problem}. Pass {instead}"
-        )
+        raise InputError(f"tissue view cannot open a window: {problem}. Pass {instead}")
 
 
 def _view_site(folder: Path, screenshot: Path | None) -> str:
@@ -174,7 +172,7 @@ def _draw_apart(
         apart = Path(folder) / file.name
         problem = draw_apart(*command, str(apart), longest_s=longest_s, drawn=drawn)
         if problem is not None:
-            raise InputError(f"{kind} must be drawn in 3D, but {problem}")
+            raise InputError(f"the {kind} cannot be drawn in 3D: {problem}")
         shutil.copyfile(apart, temporary)
 
 
@@ -200,16 +198,17 @@ def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
     fields = [] if series is None else series.names
     if saved.complete and not len(times) and not (saved.path / "bone.vti").is_file():
         raise InputError(
-            "run", "hold a trace, bone or frames to be shown", saved.path, "run the scene again"
+            "run", "contain a trace, bone or frames to show", saved.path, "run the scene again"
         )
     layers = [*saved.summary.get("layers", []), *(() if series is None else series.layer_names)]
     asked = {"layer": choice.hide, "field": [] if choice.field is None else [choice.field]}
     for (kind, names), known in zip(asked.items(), (layers, fields), strict=True):
         for name in names:
             if name not in known:
-                listed = ", ".join(dict.fromkeys(known))
                 argument = "hide" if kind == "layer" else kind
-                remedy = f"use {listed}" if listed else f"leave it out: this run has no {kind}"
+                remedy = f"leave it out: this run has no {kind}"
+                if known:
+                    remedy = f"use {in_words(dict.fromkeys(known), 'or')}"
                 raise InputError(argument, f"name a {kind} of the run", name, remedy)
     can_move = series is not None and series.displacement is not None
     most = LARGEST_SCALE if can_move else 1.0
@@ -327,7 +326,7 @@ def serve_view(folder: Path, choice: Choice, opened: Callable[[str], object]) ->
                 child.kill()
                 child.communicate()
     # the last line of a driver's output may be long
-    raise InputError(f"--web must serve a page, but {why[:200]}. {REMEDY[:1].upper()}{REMEDY[1:]}")
+    raise InputError(f"--web cannot serve a page: {why[:200]}. {REMEDY[:1].upper()}{REMEDY[1:]}")
 
 
 def _start(

@@ -116,9 +116,9 @@ def check_movie(path: Path) -> None:
         except (ImportError, RuntimeError):
             raise InputError(
                 "movie",
-                "be a .gif where imageio and imageio-ffmpeg have no ffmpeg that runs",
+                "be a .gif file, because imageio-ffmpeg has no working ffmpeg on this machine",
                 path,
-                f"use {path.with_suffix('.gif')} or pip install imageio imageio-ffmpeg",
+                f"use {path.with_suffix('.gif')}, or run pip install imageio imageio-ffmpeg",
             ) from None
 
 
