@@ -1,6 +1,6 @@
 """Tissue model of an organ into which a needle is inserted along its axis."""
 
-from math import inf, isfinite, pi
+from math import asin, degrees, inf, isfinite, pi
 
 import numpy as np
 
@@ -454,7 +454,7 @@ class NeedleModel:
             raise InputError(
                 "the needle's axis",
                 "meet the surface at more than 10 degrees",
-                f"a cosine of {cosine:.2f} between axis and normal",
+                f"{degrees(asin(cosine)):.0f} degrees",
                 "point the needle into the organ",
             )
         return below

@@ -5,7 +5,13 @@ from dataclasses import dataclass, fields
 from itertools import pairwise
 from math import sqrt
 
-from meshes.base.errors import InputError, names_of_caller, require_positive, require_range
+from meshes.base.errors import (
+    InputError,
+    in_words,
+    names_of_caller,
+    require_positive,
+    require_range,
+)
 from tissue.materials.scene_constants import Materials
 
 LARGEST_N = 1e4
@@ -159,11 +165,11 @@ class NeedleTissue:
         require_range("cutting_N", self.cutting_N, 0.0, LARGEST_N, "give it in N")
         depths = [membrane.depth_m for membrane in self.membranes]
         if any(below <= above for above, below in pairwise(depths)):
-            listed = ", ".join(f"{1e3 * depth:g} mm" for depth in depths)
+            listed = in_words(f"{1e3 * depth:g} mm" for depth in depths)
             raise InputError(
                 "membranes",
                 "be listed from the surface downwards",
-                f"depths {listed}",
+                f"depths of {listed}",
                 "sort the membranes",
             )
         names = [membrane.name for membrane in self.membranes]
@@ -172,7 +178,7 @@ class NeedleTissue:
             raise InputError(
                 "membranes",
                 "have different names, none of them parenchyma",
-                ", ".join(names),
+                in_words(names),
                 "rename one membrane",
             )
         static = max(self.friction.static_in_N_m, self.friction.static_out_N_m)

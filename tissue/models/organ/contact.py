@@ -78,11 +78,8 @@ def contact_points(nodes_m: Array, faces: Ints, spacing_m: float) -> tuple[Int32
     if longest.max() > MOST_DIVISIONS * spacing_m:
         raise InputError(
             "touch_edge_m",
-            "be shorter under this tool",
-            (
-                f"an edge of {1e3 * longest.max():.4g} mm, more than {MOST_DIVISIONS} times "
-                f"{1e3 * spacing_m:.4g} mm"
-            ),
+            f"give edges of at most {1e3 * MOST_DIVISIONS * spacing_m:.4g} mm under this tool",
+            f"an edge of {1e3 * longest.max():.4g} mm",
             "mesh the touchable surface finer, or take a larger tool",
         )
     # 1e-9: if an edge is a whole number of spacings, rounding adds no division.

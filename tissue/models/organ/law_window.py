@@ -233,7 +233,7 @@ def window_of(
     if not isinstance(whole, DirectSolver):
         raise InputError(
             "organ.law",
-            f"be linear on more than {FACTOR_UNKNOWNS:,} unknowns",
+            f"be linear for a mesh with more than {FACTOR_UNKNOWNS:,} unknowns",
             f"{len(organ.body.free):,}",
             "use longer edges or the linear law",
         )

@@ -182,7 +182,10 @@ class ShellProbe(ProbeShape):
         )
         if not (surface.is_watertight and surface.volume > 0.0):
             raise InputError(
-                "mesh", "be closed with outward triangles", mesh, "repair the tool's surface"
+                "mesh",
+                "be closed, with triangles that face outwards",
+                mesh,
+                "repair the tool's surface",
             )
         # Leg of a right triangle with the area of one point. A triangle is divided if it is longer
         # than 1.5 times this leg. Smaller triangles are kept, because the thinning reduces their

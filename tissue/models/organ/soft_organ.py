@@ -68,7 +68,7 @@ def _touchable_patch(space: Space, tool: ToolPath) -> tuple[Ints, Ints]:
             "motion",
             "bring the tool to the organ",
             "a tool that never touches it",
-            f"move it to the organ between {low} and {high} mm",
+            f"move the tool to the organ, which lies between {low} and {high} mm",
         )
     # The reach is about half an edge.
     chosen = triangles[nearest < reach * (1.0 + 2.0 * MARGIN_EDGES)]

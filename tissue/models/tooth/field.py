@@ -145,8 +145,8 @@ class StressField:
         if not self.compliance.converged:
             raise InputError(
                 "stress.cell_mm",
-                "give a tooth that its ligament holds",
-                "a solve that did not converge",
+                "give a mesh on which the stress can be solved",
+                f"{1000.0 * cell_m:g} without convergence",
                 # Suggest twice the edge, because a larger cell holds more material.
                 f"use {2000.0 * cell_m:g}",
             )
@@ -304,7 +304,7 @@ def _ligament_springs(
     if area == 0.0:
         raise InputError(
             "anatomy",
-            "hold a tooth with a support",
+            "contain a tooth with a support",
             "none",
             "give the ligament or the bone of the tooth",
         )

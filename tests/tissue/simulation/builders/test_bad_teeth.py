@@ -35,7 +35,7 @@ def springs(volume):
 
 
 def test_a_tooth_whose_bone_does_not_touch_it_is_refused():
-    with pytest.raises(InputError, match="anatomy must hold a tooth with a support, got none"):
+    with pytest.raises(InputError, match="anatomy must contain a tooth with a support, got none"):
         springs(blocks((np.s_[:, :, 26:], "bone")))
 
 
