@@ -112,7 +112,7 @@ class WallLoop:
             raise InputError(
                 "velocity_memory",
                 "be given to a loop that observes the position",
-                "None",
+                "none",
                 f"use {OBSERVER_MEMORY:g}",
             )
 

@@ -132,8 +132,8 @@ class ProbedBone(FreeSpace):
             raise InputError(
                 "motion",
                 "start outside the bone",
-                "a tool inside the bone",
-                f"start higher ({error})",
+                f"a tool at {error.value}",
+                "start higher",
             ) from error
 
     def respond(self, motion: ToolMotion) -> Response:

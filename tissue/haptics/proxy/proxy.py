@@ -329,7 +329,7 @@ class Proxy:
             raise InputError(
                 "position_m",
                 "place the tool outside all obstacles",
-                f"{position_m}, where the tool lies about {1e3 * out_m:.3g} mm deep",
+                f"{position_m} m, about {1e3 * out_m:.3g} mm deep in an obstacle",
                 "start farther away",
             )
         return self.result

@@ -188,9 +188,9 @@ class RecordedAdapter(HardwareAdapter):
         if not self._given:
             raise InputError(
                 "hardware.address",
-                "name a file of poses with device = recorded",
+                "be given with device = recorded",
                 "nothing",
-                "use a run's trace.csv",
+                "give a file of poses, such as a run's trace.csv",
             )
         self._samples = _samples(Path(self._given))
         self._next = 0

@@ -32,7 +32,7 @@ With two calls in each tick, the limit is reached after 50 ms. After the same ti
 device that does not respond is removed in any case.
 """
 MISSING = (
-    "must be installed for a device of Force Dimension, got none. Run pip install "
+    "must be installed for a device of Force Dimension. Run pip install "
     "forcedimension-core with Python 3.11 or 3.12, and install the SDK of "
     "forcedimension.com"
 )

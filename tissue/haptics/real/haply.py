@@ -286,10 +286,7 @@ class _Session:
             from websockets.sync.client import connect
         except ModuleNotFoundError:
             raise InputError(
-                "websockets",
-                "be installed for device = haply",
-                "none",
-                f"run {install_command('haply')}",
+                f"websockets must be installed for device = haply. Run {install_command('haply')}"
             ) from None
         self.state = ServiceState(self._device_id)
         try:
@@ -308,7 +305,7 @@ class _Session:
             self._disconnect()
             words = " ".join(str(error).split()) or type(error).__name__
             raise InputError(
-                HaplyAdapter.name, f"be reached at {self.url}", words, START_IT
+                HaplyAdapter.name, f"be reachable at {self.url}", words, START_IT
             ) from None
         self.state.take(first)
         self.version = asked_version(self._host, self._port)

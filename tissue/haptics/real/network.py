@@ -168,10 +168,8 @@ class WebTransport:
             from websockets.sync.server import serve
         except ImportError:
             raise InputError(
-                "websockets",
-                "be installed for a device at ws://",
-                "none",
-                f"run {install_command('network')}, or use udp://",
+                "websockets must be installed for a device at ws://. Run "
+                f"{install_command('network')}, or use udp://"
             ) from None
         self._session = session
         self._waiting = deque[tuple[Hashable, bytes]](maxlen=MOST_WAITING)

@@ -51,7 +51,7 @@ An encoder step of a Touch (0.055 mm) then changes the velocity by 5.5 mm/s. Com
 the change would be 55 mm/s.
 """
 MISSING = (
-    "must be installed for a Touch device, got none. Run pip install pyOpenHaptics, "
+    "must be installed for a Touch device. Run pip install pyOpenHaptics, "
     "and install OpenHaptics with the driver of the device from 3dsystems.com"
 )
 _OPEN: list[str] = []
@@ -108,7 +108,12 @@ class OpenHapticsAdapter(HardwareAdapter):
         hd, scheduling = _library()
         name = self._given or USUAL
         if _OPEN:
-            raise InputError("openhaptics", "be one device in a program", name, f"close {_OPEN[0]}")
+            raise InputError(
+                "openhaptics",
+                "have only one open device in a program",
+                f"{name} as a second device",
+                f"close {_OPEN[0]} first",
+            )
         self._sample = None
         self._taken = None
         self._problem = ""

@@ -139,7 +139,7 @@ def self_test(
     if len(times) < FEWEST:
         raise InputError(
             "a device",
-            "give samples for its test",
+            f"give at least {FEWEST} samples for its test",
             len(times),
             "check that the device is on, and move it",
         )
