@@ -180,7 +180,7 @@ def fit_hierarchy(
         from numpyro.infer import MCMC, NUTS
     except ImportError:
         raise InputError(
-            "population", "be fitted by numpyro", "none", f"run {install_command('perception')}"
+            f"numpyro must be installed to fit a population. Run {install_command('perception')}"
         ) from None
     # With NumPyro's default acceptance of 0.8, the effective sample size is 362, below ESS.
     run = MCMC(

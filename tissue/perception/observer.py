@@ -93,7 +93,7 @@ class Observer:
             )
         if not (np.isfinite(mean).all() and np.isfinite(covariance).all()):
             raise InputError(
-                "mean and covariance", "be finite", "a value that is not", "calibrate again"
+                "mean and covariance", "be finite", "NaN or infinity", "calibrate again"
             )
         for index, (name, (low, high)) in enumerate(BOUNDS.items()):
             median = float(_from(name, mean[index]))
@@ -230,7 +230,7 @@ def read_observer(path: Path) -> Observer:
             raise ValueError("another format")
     except (OSError, ValueError, TypeError, KeyError) as problem:
         raise InputError(
-            "observer", "be a file of an observer", f"{path} ({problem})", calibrate
+            "observer", "be an observer file", f"{path} ({_reason(problem)})", calibrate
         ) from problem
     require_version(
         "observer", stored, VERSION, key="version", where=path, remedy="calibrate again"
@@ -247,7 +247,12 @@ def read_observer(path: Path) -> Observer:
         _require_agreement(observer, stored)
         return observer
     except (KeyError, TypeError, ValueError, OverflowError) as problem:
-        raise InputError(f"observer {path}: {problem}") from problem
+        raise InputError(f"observer {path}: {_reason(problem)}") from problem
+
+
+def _reason(problem: Exception) -> str:
+    """Return the reason why a file cannot be used as text for an error message."""
+    return f"the entry {problem} is missing" if isinstance(problem, KeyError) else str(problem)
 
 
 def _plain_numbers(observer: Observer, force_N: float) -> dict[str, float]:

@@ -108,8 +108,8 @@ class Moments:
         if not (np.diag(self.coordinates) > 0.0).all():
             raise InputError(
                 "trials",
-                "have a tool that moves in contact with the tissue",
-                "no such trial",
+                "include a motion of the tool in contact with the tissue",
+                "none",
                 "use a longer duration_s",
             )
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
-from meshes.base.errors import DamagedFileError, InputError
+from meshes.base.errors import DamagedFileError, InputError, in_words
 from meshes.base.file_limits import read_npz
 from meshes.base.text_tables import read_json
 from meshes.base.whole_file import package_version, require_new_file, require_version, whole_file
@@ -156,7 +156,7 @@ class Trained:
             raise InputError(what, "be an existing file", path, "train it with 'tissue train'")
         again = f"train it again with 'tissue train {scene or 'SCENE'}'"
         if not is_zipfile(path):  # NumPy would read it as a pickle
-            raise InputError(what, "be a whole file that 'tissue train' wrote", path, again)
+            raise InputError(what, "be a complete file that 'tissue train' wrote", path, again)
         try:
             held = read_npz(path)
             whole = read_json(str(held.pop("json")))
@@ -164,13 +164,18 @@ class Trained:
                 raise InputError(what, "be a file that 'tissue train' wrote", path, again)
             stated = require_version(what, whole, VERSION, key="version", where=path, remedy=again)
             if stated < VERSION:
-                raise InputError(what, f"be of version {VERSION}", f"{stated} in {path}", again)
+                raise InputError(
+                    what, f"be of version {VERSION}", f"version {stated} in {path}", again
+                )
             if scene is not None and whole["scene"] != scene:
                 raise InputError(
-                    what, f"be trained for scene {scene}", f"{whole['scene']} in {path}", again
+                    what,
+                    f"be trained for the scene {scene}",
+                    f"a predictor for {whole['scene']} in {path}",
+                    again,
                 )
             if tuple(whole["delays"]) != DELAYS:
-                raise InputError(what, "have the delays of this version", path, again)
+                raise InputError(what, "have the delays of this version of tissue", path, again)
             header = whole["header"]
             operators = {
                 prefix: DelayOperator(
@@ -191,7 +196,7 @@ class Trained:
             raise
         except Exception as problem:  # a damaged archive raises many kinds of errors
             found = problem if isinstance(problem, DamagedFileError) else "it is damaged"
-            raise InputError(what, "be whole", f"{path} ({found})", again) from problem
+            raise InputError(what, "be complete", f"{path} ({found})", again) from problem
 
 
 def shipped_file(scene: str) -> Path:
@@ -204,11 +209,11 @@ def shipped_file(scene: str) -> Path:
     """
     path = SHIPPED / f"{scene}.npz"
     if not path.is_file():
-        known = ", ".join(sorted(each.stem for each in SHIPPED.glob("*.npz")))
+        known = in_words(sorted(each.stem for each in SHIPPED.glob("*.npz")), "or")
         raise InputError(
             "coupling.predictor_file",
-            f"be given for a scene other than {known}",
-            f"nothing for {scene}",
+            f"be given for the scene {scene}, because the scene is not {known}",
+            "nothing",
             f"write one with 'tissue train {scene} --out FILE'",
         )
     return path

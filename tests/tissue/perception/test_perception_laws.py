@@ -123,9 +123,7 @@ def test_unknown_names_are_refused():
         InputError, match="perception must be one of none, population, observer:FILE, got expert"
     ):
         built("expert")
-    with pytest.raises(
-        InputError, match=r"observer must be a file of an observer, got nowhere.json"
-    ):
+    with pytest.raises(InputError, match=r"observer must be an observer file, got nowhere.json"):
         built("observer:nowhere.json")
 
 

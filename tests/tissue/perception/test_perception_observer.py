@@ -98,9 +98,9 @@ def spoil(**changed):
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        (lambda message: "{", "file of an observer"),
-        (lambda message: "[1, 2]", "file of an observer"),
-        (lambda message: '{"format": "tissue run"}', "file of an observer"),
+        (lambda message: "{", "be an observer file, got .*ada.json"),
+        (lambda message: "[1, 2]", "be an observer file"),
+        (lambda message: '{"format": "tissue run"}', "be an observer file, got .*another format"),
         (spoil(version=2), "format 1 or older, got 2"),
         (spoil(mean="unknown"), "observer .*ada.json"),
         (spoil(coordinates=["ln alpha"]), "other coordinates"),

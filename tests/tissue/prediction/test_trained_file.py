@@ -124,14 +124,17 @@ def again(path, **changed):
     ("changed", "sentence"),
     [
         ({"version": 6}, "must be of format 5 or older, got 6"),
-        ({"version": 4}, "must be of version 5, got 4 in"),
-        ({"scene": "liver"}, "must be trained for scene wall, got liver"),
+        ({"version": 4}, "must be of version 5, got version 4 in"),
+        ({"scene": "liver"}, "must be trained for the scene wall, got a predictor for liver"),
         ({"format": "other"}, "must be a file that 'tissue train' wrote"),
-        ({"coordinates": np.zeros((2, 2))}, "must be whole, got .* shape"),
-        ({"targets": np.full((COORDINATES, 2 * HORIZON), np.nan)}, "must be whole, .*not finite"),
-        ({"targets": np.array([object()])}, "must be whole"),
+        ({"coordinates": np.zeros((2, 2))}, "must be complete, got .* shape"),
+        (
+            {"targets": np.full((COORDINATES, 2 * HORIZON), np.nan)},
+            "must be complete, .*not finite",
+        ),
+        ({"targets": np.array([object()])}, "must be complete"),
         ({"delays": [0, 1]}, "must have the delays of this version"),
-        ({"header": {}}, "must be whole"),
+        ({"header": {}}, "must be complete"),
     ],
 )
 def test_another_file_is_refused(tmp_path, changed, sentence):
@@ -145,11 +148,11 @@ def test_a_file_cut_or_changed_anywhere_is_refused(tmp_path):
     whole = path.read_bytes()
     for length in np.linspace(1, len(whole) - 1, 25).astype(int):
         path.write_bytes(whole[:length])
-        with pytest.raises(InputError, match="predictor file must be a whole file"):
+        with pytest.raises(InputError, match="predictor file must be a complete file"):
             Trained.read(path)
     content = bytearray(whole)
     for at in range(40, len(content), 97):
         content[at] ^= 255
     path.write_bytes(content)
-    with pytest.raises(InputError, match=r"must be whole, got [^()]* \(it is damaged\)"):
+    with pytest.raises(InputError, match=r"must be complete, got [^()]* \(it is damaged\)"):
         Trained.read(path)
