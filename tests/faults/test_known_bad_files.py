@@ -77,11 +77,11 @@ BAD_TEXT = [
         POSES.replace("1,0,0,0,0,0,0,1", "1,0,0"),
         "8 values in each line, got 3",
     ),
-    ("poses", "back.csv", POSES.replace("\n1,", "\n-1,"), "increasing time_s"),
-    ("observer", "list.json", "[]", "file of an observer"),
-    ("observer", "cut.json", '{"format": "tissue obs', "must be a file of an observer"),
+    ("poses", "back.csv", POSES.replace("\n1,", "\n-1,"), "increasing values of time_s"),
+    ("observer", "list.json", "[]", "must be an observer file"),
+    ("observer", "cut.json", '{"format": "tissue obs', "must be an observer file"),
     ("trials", "list.jsonl", "[]\n", "file of trials"),
-    ("predictor", "text.npz", "no archive", "must be a whole file"),
+    ("predictor", "text.npz", "no archive", "must be a complete file"),
 ]
 
 

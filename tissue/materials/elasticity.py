@@ -40,7 +40,7 @@ def lame(young_Pa: ArrayLike, poisson_ratio: ArrayLike) -> Array:
             "poisson_ratio",
             "be in (-1, 0.5)",
             f"{ratio[outside].flat[0]:g}",
-            "use 0.499, or quadratic elements",
+            "use at most 0.499, with quadratic elements",
         )
     shear = young / (2.0 * (1.0 + ratio))
     return np.stack(np.broadcast_arrays(2.0 * shear * ratio / (1.0 - 2.0 * ratio), shear), axis=-1)
@@ -193,8 +193,8 @@ def checked_stiffness(stiffness_Pa: ArrayLike) -> Array:
     if matrix.ndim not in (2, 3) or matrix.shape[-2:] != (6, 6) or not np.isfinite(matrix).all():
         raise InputError(
             "stiffness_Pa",
-            "be finite, shape (6, 6) or (m, 6, 6)",
-            f"shape {matrix.shape}",
+            "be finite, with the shape (6, 6) or (m, 6, 6)",
+            f"shape {matrix.shape}" if np.isfinite(matrix).all() else "NaN or infinity",
             "use Voigt matrices",
         )
     each = matrix.reshape(-1, 6, 6)

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, require_positive
+from meshes.base.errors import InputError, counted, require_positive
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +68,8 @@ class Prony:
         if len(self.g) != len(self.tau_s) or not self.g:
             raise InputError(
                 "tau_s",
-                "hold one time for each share in g",
-                f"{len(self.g)} shares and {len(self.tau_s)} times",
+                "have one time for each share in g",
+                f"{counted(len(self.g), 'share')} and {counted(len(self.tau_s), 'time')}",
                 "give as many times as shares, at least one",
             )
         for name, values in (("g", self.g), ("tau_s", self.tau_s)):

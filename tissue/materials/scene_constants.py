@@ -77,7 +77,7 @@ class Materials:
             text = read_text(path)
         except (OSError, ValueError):
             raise InputError(
-                "materials", "be a TOML file that exists", path, "check the path"
+                "materials", "be an existing TOML file", path, "check the path"
             ) from None
         return _parsed(text, str(path))
 
@@ -208,7 +208,10 @@ def _parsed(text: str, path: str) -> Materials:
         tables = read_toml(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(
-            "materials", "be valid TOML", f"{str(error)[:200].lower()} in {path}", "fix the file"
+            "materials",
+            "be a valid TOML file",
+            f"{path} with the error: {str(error)[:200].lower()}",
+            "fix the file",
         ) from None
     correlation = tables.pop("correlation", None)
     given: dict[str, Constant] = {}
@@ -225,7 +228,7 @@ def _parsed(text: str, path: str) -> Materials:
                 full = f"{table}.{material}.{name}"
                 given[full] = checked_constant(full, entry, path)
     if not given:
-        raise InputError(f"materials: {path} holds no constant. {_instead_of(text)}.")
+        raise InputError(f"materials: {path} contains no constant. {_instead_of(text)}.")
     if correlation is None:
         return Materials(given, file=path)
     names, matrix = _correlation(correlation, given, path)
@@ -264,9 +267,9 @@ def _require_known(what: str, name: str, known: Iterable[str], path: str) -> Non
         names = list(known)
         raise InputError(
             "materials",
-            f"name {what}: {', '.join(names)}",
+            f"name {what}, one of {', '.join(names)}",
             f"{name}{nearest(name, names)} in {path}",
-            "use the listed name that the scene uses; the file replaces its constants",
+            "use the listed name that the scene uses, because the file replaces its constants",
         )
 
 
@@ -310,11 +313,11 @@ def checked_constant(full: str, found: object, path: str) -> Constant:
     low, high = entry.range
     most = HARD_LIMITS.get(full.rpartition(".")[2], np.inf)
     if not low <= entry.value <= high <= most:
-        bound = "" if most == np.inf else f" and range within [0, {most:g}]"
+        bound = "" if most == np.inf else f", and its range inside [0, {most:g}]"
         raise InputError(
             full,
             f"have its value inside its range{bound}",
-            f"{entry.value:g} in [{low:g}, {high:g}] in {path}",
+            f"the value {entry.value:g} and the range [{low:g}, {high:g}] in {path}",
             "fix the value or the range",
         )
     return Constant(entry.value, low, high, entry.source, entry.confidence)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, in_words
 from meshes.base.extras import install_command
 from meshes.base.file_limits import require_memory, require_regular
 from tissue.motion.motion import first_off_unit
@@ -91,7 +91,7 @@ class PoseFile:
         if (wrong := first_off_unit(quaternions)) is not None:
             length = float(np.linalg.norm(quaternions[wrong]))
             raise self.error(
-                "hold unit quaternions",
+                "contain unit quaternions",
                 f"one of length {length:.4g} for pose {wrong + 1}",
                 "use 0, 0, 0, 1 for no rotation",
             )
@@ -137,7 +137,7 @@ def read_drilling(path: Path, *, argument: str) -> DrillingRecording:
     except Exception as problem:  # h5py raises many kinds of errors for a damaged file
         raise InputError(
             argument,
-            "be a whole HDF5 file",
+            "be a complete HDF5 file",
             f"{path} ({' '.join(str(problem).split())})",
             "export it again",
         ) from None
@@ -166,13 +166,15 @@ def _drilling(file: Any, where: PoseFile) -> DrillingRecording:
     drills = [name for name in names if "drill" in name]
     if len(drills) != 1:
         raise where.error(
-            "hold the poses of one drill", ", ".join(names) or "no object", "leave one with drill"
+            "contain the poses of one object with drill in its name",
+            in_words(names) if names else "no object",
+            "keep one such object",
         )
     notes = ["a recording of volumetric_drilling, in its world"]
     # Position and quaternion: 7 numbers. A wrench has 6: force and torque.
     times, pose = _samples(file, f"{poses}/{drills[0]}", "pose", 7, where)
     if len(times) < 2:
-        raise where.error("hold at least two poses", len(times), "record more")
+        raise where.error("contain at least two poses", len(times), "record more")
     where.require_unit(pose[:, 3:])
     turns = Rotation.from_quat(pose[:, 3:]) * SHAFT_TO_X
     tips = pose[:, :3]
@@ -180,9 +182,9 @@ def _drilling(file: Any, where: PoseFile) -> DrillingRecording:
         _, sizes = _samples(file, f"{events}burr_change", "burr_size", 1, where)
         if len(np.unique(sizes)) != 1 or sizes[0, 0] <= 0.0:
             raise where.error(
-                "keep one burr",
+                "use one burr of positive size",
                 f"sizes {sorted(set(sizes[:, 0].tolist()))} mm",
-                "cut it where it changes",
+                "split the recording where the burr changes",
             )
         # From the centre of the burr to its tip: half the diameter, in metres.
         tips = tips - turns.apply([0.0, 0.0, 0.5e-3 * sizes[0, 0]])
@@ -199,7 +201,7 @@ def _drilling(file: Any, where: PoseFile) -> DrillingRecording:
             # orientation R of its main camera, as the force and again as the torque.
             shown, seen = _samples(file, f"{poses}/{cameras[0]}", "pose", 7, where)
             if len(shown) == 0:
-                raise where.error("hold poses", f"none for {cameras[0]}", "record it again")
+                raise where.error(f"contain poses of {cameras[0]}", "none", "record it again")
             where.require_unit(seen[:, 3:])
             nearest = np.clip(np.searchsorted(shown, load_times), 0, len(shown) - 1)
             camera = Rotation.from_quat(seen[nearest, 3:])
@@ -230,7 +232,7 @@ def _samples(file: Any, group: str, name: str, width: int, where: PoseFile) -> t
     for each in pair:
         dataset = file.get(each)
         if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiu":
-            raise where.error(f"hold numbers as {each}", "none", "record it again")
+            raise where.error(f"contain numbers in {each}", "none", "record it again")
         # The values become doubles of 8 bytes in memory, after they were read as stored.
         size = max(dataset.dtype.itemsize, 8) * dataset.size
         require_memory(size, where.path.name, f"{dataset.size:.3g} numbers as {each}")
@@ -239,11 +241,13 @@ def _samples(file: Any, group: str, name: str, width: int, where: PoseFile) -> t
     values = values[:, None] if values.ndim == 1 and width == 1 else values
     if times.ndim != 1 or values.shape != (len(times), width):
         raise where.error(
-            f"hold {width} values of {group}/{name} at each time_stamp",
+            f"contain {width} values of {group}/{name} at each time_stamp",
             f"shapes {values.shape} and {times.shape}",
             "record it again",
         )
     if not (np.isfinite(times).all() and np.isfinite(values).all()):
-        raise where.error("hold finite numbers", f"others for {group}", "cut them out")
+        raise where.error(
+            "contain only finite numbers", f"NaN or infinity for {group}", "remove these samples"
+        )
     order = np.unique(times, return_index=True)[1]
     return times[order], values[order]

@@ -169,7 +169,7 @@ class FollowPath(Motion):
         if not keep.any():
             raise InputError(
                 "motion.points_mm",
-                "hold two different points",
+                "contain at least two different points",
                 "only one",
                 "add the point to which the tool moves",
             )

@@ -79,7 +79,7 @@ def poses_in(name: str, poses: ArrayLike, rotation: Array) -> tuple[Array, Array
         if is_off.any():
             raise InputError(
                 name,
-                "hold unit quaternions (x, y, z, w), of length 1 within 1 %",
+                "contain quaternions (x, y, z, w) of length 1 within 1 %",
                 f"a quaternion of length {lengths[is_off][0]:.4g}",
                 "divide the quaternion by its length",
             )
@@ -97,7 +97,7 @@ def poses_in(name: str, poses: ArrayLike, rotation: Array) -> tuple[Array, Array
     if error > OFF_ROTATION or (np.linalg.det(turns) < 0.0).any():
         raise InputError(
             name,
-            "hold rotations without scale or mirroring",
+            "contain rotations without scale or mirroring",
             f"a matrix with an error of {error:.2g}",
             "normalise the rotation",
         )

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, counted, is_file, names_of_caller
+from meshes.base.errors import InputError, counted, in_words, is_file, names_of_caller
 from meshes.base.file_limits import read_npz
 from meshes.base.tables import read_table
 from meshes.base.text_tables import require_distinct_columns
@@ -165,7 +165,7 @@ def read_replay(path: Path) -> ReplayPoses:
         poses, notes = _table(where)
     lasts_s = float(poses[-1, 0] - poses[0, 0])
     if lasts_s > LONGEST_S:
-        raise where.error(f"last at most {LONGEST_S:g} s", f"{lasts_s:g}", "cut it")
+        raise where.error(f"last at most {LONGEST_S:g} s", f"{lasts_s:g} s", "shorten it")
     with names_of_caller({"poses": where.argument}):
         return ReplayPoses(poses[:, 0], poses[:, 1:4], poses[:, 4:], notes=notes)
 
@@ -190,8 +190,9 @@ def _table(where: PoseFile) -> tuple[Array, tuple[str, ...]]:
         if header is not None:
             headers[name] = header
     if missing := [name for name in measures if name not in headers]:
-        given = ", ".join(table.names[:40])
-        raise where.error(f"have the columns {', '.join(missing)}", given, "add them")
+        given = in_words(table.names[:40])
+        columns = "column" if len(missing) == 1 else "columns"
+        raise where.error(f"have the {columns} {in_words(missing)}", given, "add the missing data")
     columns = []
     for name, header in headers.items():
         factors = UNITS[measures[name]]
@@ -199,16 +200,18 @@ def _table(where: PoseFile) -> tuple[Array, tuple[str, ...]]:
         columns.append(factor * table.finite(header))
     poses = np.column_stack(columns)
     if len(poses) < 2:
-        raise where.error("hold at least two poses", len(poses), "record more")
+        raise where.error("contain at least two poses", len(poses), "record more")
     notes = list(table.notes)
     is_new = np.diff(poses[:, 0], prepend=-np.inf) != 0.0
     if equal := int((~is_new).sum()):
-        notes.append(f"{counted(equal, 'pose')} with the time of the pose before left out")
+        notes.append(f"{counted(equal, 'pose')} left out with the same time as the pose before")
     poses = poses[is_new]
     back = np.flatnonzero(np.diff(poses[:, 0]) < 0.0)
     if back.size:
         before, after = poses[back[0] : back[0] + 2, 0]
-        raise where.error("have increasing time_s", f"{after:g} after {before:g}", "sort its rows")
+        raise where.error(
+            "have increasing values of time_s", f"{after:g} after {before:g}", "sort its rows"
+        )
     where.require_unit(poses[:, 4:])
     return poses, tuple(notes)
 
@@ -263,7 +266,7 @@ def read_poses(path: Path) -> tuple[Array, Array, float]:
     if version != FORMAT or not is_whole:
         raise InputError(
             "poses",
-            f"be a whole file of format {FORMAT} that a run wrote",
+            f"be a complete file of format {FORMAT} that a run wrote",
             path,
             "run the scene again",
         )

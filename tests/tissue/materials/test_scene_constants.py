@@ -76,17 +76,20 @@ PAIR = f'[correlation]\nnames = ["{RADIAL}", "cutting.bone.radial_edge_N_mm"]\n'
         (entry("soft.livre.modulus_kPa", 1.0), "did you mean liver"),
         (entry("needle.pig.linear_N_mm", 1.0), "Use the listed name that the scene uses"),
         (entry("cutting.bone.radial_chip", 1.0), "did you mean radial_chip_N_mm2"),
-        (entry(RADIAL, 50.0, 1.0, 2.0), "inside its range"),
-        (entry("soft.liver.poisson_ratio", 0.6, 0.5, 0.7), "within \\[0, 0.5\\]"),
+        (
+            entry(RADIAL, 50.0, 1.0, 2.0),
+            r"inside its range, got the value 50 and the range \[1, 2\]",
+        ),
+        (entry("soft.liver.poisson_ratio", 0.6, 0.5, 0.7), r"inside \[0, 0.5\]"),
         (
             entry(RADIAL, 50.0).replace('source = "a test"', ""),
-            r"source must be given in .*nothing",
+            r"source must be given in .*own\.toml\. Add it",
         ),
         (entry(RADIAL, 50.0).replace('"a test"', '" "'), "radial_chip_N_mm2.source"),
         (entry(RADIAL, 50.0).replace('"L"', '"X"'), "radial_chip_N_mm2.confidence"),
-        (entry(RADIAL, 50.0) + "range = [", "valid TOML"),
+        (entry(RADIAL, 50.0) + "range = [", "valid TOML file, got .* with the error: "),
         ("cutting = 3", "must be a table"),
-        ("", r"holds no constant\. Leave materials out, or add a constant"),
+        ("", r"contains no constant\. Leave materials out, or add a constant"),
         (
             "# keys of the scene: --set organ.young_kPa=12.29 --set organ.friction=0.2\n",
             r"Leave materials out and set organ\.young_kPa=12\.29 and organ\.friction=0\.2 instead",
@@ -110,7 +113,7 @@ def test_a_bad_file_is_refused_in_a_sentence(text, words, tmp_path):
 
 
 def test_a_scene_with_a_file_without_constants_is_refused_when_it_is_loaded(tmp_path):
-    with pytest.raises(InputError, match="holds no constant"):
+    with pytest.raises(InputError, match="contains no constant"):
         load_scene("palpation", {"materials": str(written(tmp_path, "# nothing"))})
 
 

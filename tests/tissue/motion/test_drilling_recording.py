@@ -178,23 +178,32 @@ DRILL = f"{POSES}/mastoidectomy_drill_pose"
         (spoil(POSES, None), "be a recording of volumetric_drilling, got no physics_data"),
         (
             spoil(DRILL, None),
-            "hold the poses of one drill, got anatomy_object_name_pose, main_camera_pose",
+            "drill in its name, got anatomy_object_name_pose and main_camera_pose",
         ),
-        (spoil(f"{DRILL}/pose", None), "hold numbers as .*pose, got none"),
-        (spoil(f"{DRILL}/pose", [b"a", b"b"]), "hold numbers as .*pose, got none"),
+        (spoil(f"{DRILL}/pose", None), "contain numbers in .*pose, got none"),
+        (spoil(f"{DRILL}/pose", [b"a", b"b"]), "contain numbers in .*pose, got none"),
         (
             spoil(f"{DRILL}/pose", np.zeros((5, 7))),
-            r"hold 7 values .* got shapes \(5, 7\) and \(4002,\)",
+            r"contain 7 values .* got shapes \(5, 7\) and \(4002,\)",
         ),
         (spoil(f"{DRILL}/pose", np.zeros((4002, 6))), r"got shapes \(4002, 6\)"),
-        (spoil(f"{DRILL}/pose", np.zeros((4002, 7))), "hold unit quaternions, got one of length 0"),
-        (spoil(f"{DRILL}/pose", np.full((4002, 7), np.nan)), "hold finite numbers"),
+        (
+            spoil(f"{DRILL}/pose", np.zeros((4002, 7))),
+            "contain unit quaternions, got one of length 0",
+        ),
+        (
+            spoil(f"{DRILL}/pose", np.full((4002, 7), np.nan)),
+            "contain only finite numbers, got NaN",
+        ),
         (spoil(f"{DRILL}/time_stamp", np.zeros(4002)), "at least two poses, got 1"),
         (spoil(f"{DRILL}/time_stamp", np.arange(4002.0)), "must last at most"),
-        (spoil(f"{EVENTS}/burr_change/burr_size", [0]), r"keep one burr, got sizes \[0.0\] mm"),
-        (lambda path: recorded(path, burr=(4, 6)), r"keep one burr, got sizes \[4.0, 6.0\] mm"),
-        (lambda path: path.write_bytes(path.read_bytes()[:3000]), "must be a whole HDF5 file"),
-        (lambda path: path.write_bytes(b"no"), "must be a whole HDF5 file"),
+        (
+            spoil(f"{EVENTS}/burr_change/burr_size", [0]),
+            r"one burr of positive size, got sizes \[0.0\] mm",
+        ),
+        (lambda path: recorded(path, burr=(4, 6)), r"use one burr .*, got sizes \[4.0, 6.0\] mm"),
+        (lambda path: path.write_bytes(path.read_bytes()[:3000]), "must be a complete HDF5 file"),
+        (lambda path: path.write_bytes(b"no"), "must be a complete HDF5 file"),
     ],
 )
 def test_what_is_no_recording_is_refused_in_a_sentence(tmp_path, change, expected):

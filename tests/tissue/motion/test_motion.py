@@ -181,11 +181,13 @@ def test_a_table_in_other_units_and_with_equal_times_is_read(tmp_path):
     tips, _, _, speeds = ticks(motion, 501)
     np.testing.assert_allclose(tips[[0, 500]], [[1e-3, 2e-3, 3e-3], [2e-3, 2e-3, 3e-3]])
     np.testing.assert_allclose(speeds[1:], 2e-3, rtol=1e-9)
-    assert motion.notes == ("1 pose with the time of the pose before left out",)
+    assert motion.notes == ("1 pose left out with the same time as the pose before",)
 
 
 def test_a_path_of_one_point_is_refused():
-    with pytest.raises(InputError, match="must hold two different points, got only one"):
+    with pytest.raises(
+        InputError, match="must contain at least two different points, got only one"
+    ):
         FollowPath(np.zeros((3, 3)), feed_m_s=1.0, axis=Z)
 
 

@@ -145,8 +145,8 @@ class HeldBody:
         if load.shape != self.nodes_m.shape or not np.isfinite(load).all():
             raise InputError(
                 "load_N",
-                f"be finite, shape {self.nodes_m.shape}",
-                f"shape {load.shape}",
+                f"be finite, with the shape {self.nodes_m.shape}",
+                "NaN or infinity" if load.shape == self.nodes_m.shape else f"shape {load.shape}",
                 "give a force at each node",
             )
         if load[~self.carrying].any():

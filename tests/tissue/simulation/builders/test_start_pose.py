@@ -92,4 +92,4 @@ def test_a_repeated_pose_is_noted_in_the_run(tmp_path):
     header, first, *rows = (tmp_path / "poses.csv").read_text().splitlines()
     (tmp_path / "poses.csv").write_text("\n".join([header, first, first, *rows]))
     parts, _ = replayed(file)
-    assert parts.notes["motion"] == "1 pose with the time of the pose before left out"
+    assert parts.notes["motion"] == "1 pose left out with the same time as the pose before"
