@@ -106,8 +106,10 @@ def counted(count: int, noun: str) -> str:
 
 def in_words(names: Iterable[object], last: str = "and") -> str:
     """Join names with commas and a word before the last name, for example "a, b and c"."""
-    *first, end = map(str, names)
-    return f"{', '.join(first)} {last} {end}" if first else end
+    texts = [str(name) for name in names]
+    if len(texts) < 2:
+        return "".join(texts)
+    return f"{', '.join(texts[:-1])} {last} {texts[-1]}"
 
 
 def by(numbers: Iterable[float], form: str = "g") -> str:

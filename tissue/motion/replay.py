@@ -191,8 +191,8 @@ def _table(where: PoseFile) -> tuple[Array, tuple[str, ...]]:
             headers[name] = header
     if missing := [name for name in measures if name not in headers]:
         given = in_words(table.names[:40])
-        columns = "column" if len(missing) == 1 else "columns"
-        raise where.error(f"have the {columns} {in_words(missing)}", given, "add the missing data")
+        noun = "column" if len(missing) == 1 else "columns"
+        raise where.error(f"have the {noun} {in_words(missing)}", given, "add the missing data")
     columns = []
     for name, header in headers.items():
         factors = UNITS[measures[name]]

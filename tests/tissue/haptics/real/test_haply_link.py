@@ -66,7 +66,7 @@ def test_a_force_that_is_not_pushed_again_is_taken_off(service):
 def test_a_device_that_is_not_ready_is_refused_before_any_force(service, status):
     service.status[status] = False
     with (
-        pytest.raises(InputError, match=rf"^haply must .*, got {status} = false of {DEVICE}\. "),
+        pytest.raises(InputError, match=rf"^haply must .*, got {status} = false for {DEVICE}\. "),
         adapter_of(service),
     ):
         pass

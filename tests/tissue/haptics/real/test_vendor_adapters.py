@@ -120,7 +120,7 @@ def test_a_second_touch_is_refused_and_the_first_is_left_running(monkeypatch):
     device = OpenHaptics().install(monkeypatch)
     with OpenHapticsAdapter(Hardware(address="left")) as left:
         assert OpenHapticsAdapter.find("left")[0].detail == "in use by this program"
-        with pytest.raises(InputError, match=r"got right\. Close left"):
+        with pytest.raises(InputError, match=r"got right as a second device\. Close left first"):
             OpenHapticsAdapter(Hardware(address="right")).__enter__()
         device.step()
         assert left.poll() is not None
