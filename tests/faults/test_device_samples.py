@@ -55,7 +55,7 @@ def moving(offsets, *, speed_m_s=0.1):
 def test_white_noise_is_a_fault_from_its_first_tenths_of_a_second(seed):
     noise = np.random.default_rng(seed).normal(scale=NOISE_M, size=(2000, 3))
     share, events = accepted(moving(noise))
-    assert share < 0.05 and events[0].startswith("noise that no hand makes")
+    assert share < 0.05 and events[0].startswith("noise too large for a hand")
 
 
 def test_noise_of_a_turn_is_a_fault_and_smooth_samples_are_accepted_again():
@@ -146,14 +146,14 @@ def test_a_hand_on_any_device_is_not_taken_for_noise(group, name):
 @pytest.mark.parametrize(
     ("sample", "what"),
     [
-        (Sample(0.2, AT), "a sample of the future"),
-        (Sample(1e9, AT), "a sample of the future"),
+        (Sample(0.2, AT), "a sample time in the future"),
+        (Sample(1e9, AT), "a sample time in the future"),
         (Sample(0.0, AT), "an old sample"),
-        (Sample(0.098, AT), "a sample from before the last one"),
+        (Sample(0.098, AT), "a sample time before the last sample"),
         (Sample(np.nan, AT), "a sample that is not finite"),
         (Sample(0.1, (np.inf, 0.0, 0.0)), "a sample that is not finite"),
         (Sample(0.1, AT, spin_rad_s=(0.0, 0.0, np.nan)), "a sample that is not finite"),
-        (Sample(0.1, AT, spin_rad_s=(0.0, 0.0, -1e9)), "a spin that no hand has"),
+        (Sample(0.1, AT, spin_rad_s=(0.0, 0.0, -1e9)), "a spin too fast for a hand"),
         (
             Sample(0.1, AT, quaternion=(0.0, 0.0, 0.0, 2.0)),
             "a quaternion that is not of unit length",
@@ -257,7 +257,7 @@ def test_a_device_in_millimetres_ends_the_run_at_zero_with_its_reason():
     device = Goes(falling_mm)
     with pytest.raises(
         DeviceError,
-        match=r"its workspace is 160 x 120 x 70 mm\. If it reports millimetres, give metres",
+        match=r"its workspace is 160 x 120 x 70 mm\. If it reports millimetres, convert them to metres",
     ):
         tissue.simulate(wall(), device=device)
     assert len(device.forces) * TICK * 4.0 < 3.1 * DIAGONAL_M  # not long after the arm's end

@@ -133,7 +133,7 @@ def test_the_guard_lets_a_fast_hand_pass_and_takes_up_a_device_that_comes_back()
     assert [what for _, what in guard.events] == [
         "no sample: the force fades",
         "samples are good again",
-        "a jump that no hand makes (positions must be in metres): the force fades",
+        "a jump too large for a hand (positions must be in metres): the force fades",
         "samples are good again",
     ]
 

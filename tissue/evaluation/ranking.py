@@ -247,7 +247,7 @@ def rank(
             unscored.append(Person(person.name, tuple(without_score)))
     has_assessed = bool(people or unscored)
     if not has_assessed and left_out:
-        raise InputError(left_out[0])
+        raise InputError(f"no run can be assessed: {left_out[0]}")
     if not has_assessed:
         raise InputError(
             "folder",

@@ -15,15 +15,15 @@ class SolverOutcome(Enum):
 
     CONVERGED = "the displacement has converged within the tolerance"
     NOT_CONVERGED = (
-        "the largest number of iterations was reached: allow more iterations, raise "
+        "the largest number of iterations was reached. Allow more iterations, raise "
         "the tolerance, or take smaller steps"
     )
-    INACCURATE = "rounding is too large: fix sliver cells, or lower the contrast of moduli"
+    INACCURATE = "rounding is too large. Fix sliver cells, or lower the contrast of moduli"
     INDEFINITE = (
-        "the stiffness is not positive definite: check moduli, Poisson's ratio, sliver cells and "
+        "the stiffness is not positive definite. Check moduli, Poisson's ratio, sliver cells and "
         "loose parts"
     )
-    UNSUPPORTED = "nothing holds the body: fix nodes that carry load, or give them springs"
+    UNSUPPORTED = "nothing holds the body. Fix nodes that carry load, or give them springs"
 
 
 @dataclass(frozen=True, eq=False)

@@ -209,12 +209,13 @@ def shipped_file(scene: str) -> Path:
     """
     path = SHIPPED / f"{scene}.npz"
     if not path.is_file():
-        known = in_words(sorted(each.stem for each in SHIPPED.glob("*.npz")), "or")
+        known = in_words(sorted(each.stem for each in SHIPPED.glob("*.npz")))
         raise InputError(
             "coupling.predictor_file",
-            f"be given for the scene {scene}, because the scene is not {known}",
+            f"be given for the scene {scene}",
             "nothing",
-            f"write one with 'tissue train {scene} --out FILE'",
+            f"write one with 'tissue train {scene} --out FILE'. Only the scenes {known} have a "
+            "built-in predictor file",
         )
     return path
 

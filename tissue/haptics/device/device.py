@@ -308,9 +308,10 @@ class Reach:
             box = " x ".join(f"{1e3 * edge:.3g}" for edge in self._edges_m[::-1])
             stated = f"its workspace is {box} mm"
         raise DeviceError(
-            f"the device reports a position {1e3 * away_m:.4g} mm from its first one, but "
-            f"{stated}. If it reports millimetres, give metres; if it does reach so far, state "
-            "workspace_width_m, workspace_height_m and workspace_depth_m in its constants"
+            f"the device reports a position {1e3 * away_m:.4g} mm from its first position, but "
+            f"{stated}. If it reports millimetres, convert them to metres. If its workspace is "
+            "larger, correct workspace_width_m, workspace_height_m and workspace_depth_m in its "
+            "constants"
         )
 
 

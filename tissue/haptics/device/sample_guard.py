@@ -319,9 +319,9 @@ class SampleGuard:
         if time_s - sample.time_s > self._oldest_s:
             return "an old sample"
         if sample.time_s - time_s > self._oldest_s:
-            return "a sample of the future"
+            return "a sample time in the future"
         if good is not None and sample.time_s < good.time_s:
-            return "a sample from before the last one"
+            return "a sample time before the last sample"
         x, y, z, w = turned
         if turned != self._turned:
             a, b, c, d = self._turned
@@ -334,24 +334,24 @@ class SampleGuard:
             self._turned = x, y, z, w
         noisy = self._places.observe(sample.time_s, *sample.position_m)
         if self._turns.observe(sample.time_s, x, y, z, w) or noisy:
-            return "noise that no hand makes"
+            return "noise too large for a hand"
         if max(map(abs, sample.velocity_m_s)) > FASTEST_M_S:
-            return f"a speed that no hand has{UNIT}"
+            return f"a speed too high for a hand{UNIT}"
         if max(map(abs, sample.spin_rad_s)) > FASTEST_RAD_S:
-            return "a spin that no hand has"
+            return "a spin too fast for a hand"
         if good is None:
             # The first position has no predecessor. A hand is never 10 m from a device's origin,
             # but the numbers of a position in millimetres often exceed 10.
             is_near = max(map(abs, sample.position_m)) < 10.0
-            return "" if is_near else f"a position that no hand reaches{UNIT}"
+            return "" if is_near else f"a position too far away for a hand{UNIT}"
         elapsed = max(sample.time_s - good.time_s, 0.0) + self._oldest_s
         if dist(sample.position_m, good.position_m) > FASTEST_M_S * elapsed:
-            return f"a jump that no hand makes{UNIT}"
+            return f"a jump too large for a hand{UNIT}"
         if turned == good.quaternion:
             return ""
         i, j, k = turn_between(good.quaternion, turned)
         if i * i + j * j + k * k > (FASTEST_RAD_S * elapsed) ** 2:
-            return "a turn that no hand makes"
+            return "a turn too large for a hand"
         return ""
 
 

@@ -168,10 +168,11 @@ class ContactOutcome(Enum):
 
     CONVERGED = "the forces have converged within the tolerance"
     NOT_CONVERGED = (
-        "no convergence: allow more sweeps, raise the tolerance, or move the tool in smaller steps"
+        "the forces did not converge. Allow more sweeps, raise the tolerance, or move the tool in "
+        "smaller steps"
     )
     IMMOVABLE = (
-        "the tool enters where the organ's supports do not yield: hold fewer nodes, or press "
+        "the tool enters where the organ's supports do not yield. Hold fewer nodes, or press "
         "elsewhere"
     )
 
