@@ -155,7 +155,7 @@ def test_a_run_that_loses_its_stress_keeps_all_else(plain, tmp_path, monkeypatch
     assert (
         len(message) == 1
         and how in message[0]
-        and message[0].endswith("no stress and no frames, everything else continues")
+        and message[0].endswith("no stress and no frames. Everything else continues")
     )
     if (out / "pictures").is_dir():
         assert {"force_torque.png"} <= {each.name for each in (out / "pictures").iterdir()}

@@ -258,7 +258,7 @@ def assess(
     deepest = float(ideal_depth.max())
     if force_limit_N is None and peak == 0.0:
         raise InputError(
-            "the force of the reference run is zero, so the default limit of the force is zero. "
+            "the force of the reference run is zero, so it gives no default limit of the force. "
             "Use a reference that touches the tissue, or give --force-limit-N"
         )
     limit = FORCE_MARGIN * peak if force_limit_N is None else force_limit_N

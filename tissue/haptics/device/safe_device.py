@@ -146,7 +146,7 @@ class SafeDevice:
         if self._releases:
             late = f"no command came for {1e3 * STALL_S:g} ms"
             found.append(
-                f"the force was taken off and faded in again {counted(self._releases, 'time')}, "
+                f"the force was removed and returned gradually {counted(self._releases, 'time')}, "
                 f"because {late}"
             )
         if held := max(self._force.limited, self._torque.limited):

@@ -215,8 +215,8 @@ class _Session:
             raise InputError(problem)
         if self.state.status("in_use") is True:
             self.events.append(
-                "another program uses the device: the service adds the forces of both, close "
-                "the other"
+                "another program uses the device, and the service adds the forces of both. "
+                "Close the other program"
             )
         self._sampled_s = perf_counter()
         self._thread = threading.Thread(target=self._run, daemon=True, name="haply")
@@ -388,7 +388,7 @@ class _Session:
                     self._sampled_s = now
             elif not was_wrong:
                 self.events.append(
-                    "states of the service come in a wrong order: the force is taken off"
+                    "states of the service arrive in a wrong order: the force is removed"
                 )
 
     def _release(self, why: str) -> None:
@@ -401,7 +401,7 @@ class _Session:
     def _await_answers(self) -> None:
         """Remove the force and wait for late answers, which are not used as samples."""
         self._release(
-            f"the service did not answer within {1e3 * ANSWER_S:g} ms: the force is taken off"
+            f"the service did not answer within {1e3 * ANSWER_S:g} ms: the force is removed"
         )
         self._send(NOTHING)
         link = self._open_socket

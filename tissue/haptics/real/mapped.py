@@ -249,7 +249,7 @@ class MappedDevice:
             return None
         if self._lost:
             if self._space.is_placed:
-                self._log("samples are back: the force comes on again")
+                self._log("samples arrive again: the force returns")
             self._lost = False
         newest = self._newest
         clutched = _held(newest.buttons, self._settings.clutch_button, otherwise=False)

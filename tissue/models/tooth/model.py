@@ -291,7 +291,7 @@ class ToothModel(MilledTissue):
         """
         self._stress_lost = True
         self.notices.append(
-            f"{lost}: this run has no stress and no frames, everything else continues"
+            f"{lost}: this run has no stress and no frames. Everything else continues"
         )
 
     def remaining(self) -> Bytes:

@@ -219,7 +219,7 @@ def test_the_watchdog_repeats_a_sample_and_then_takes_the_force_off():
     sentences = [what for _, what in device.happened()]
     assert sentences == [
         "no sample came for 10 ms: the force is zero",
-        "samples are back: the force comes on again",
+        "samples arrive again: the force returns",
     ]
 
 
