@@ -35,7 +35,9 @@ def test_segments_that_overlap_keep_their_voxels(tmp_path, options):
         assert np.array_equal(placed.mask(name), mask)
     assert any("lie in several labels, and count for each" in each for each in labels.image.notes)
     assert placed.only(["bone", "canal"]).mask("bone").sum() == (masks()[0] & ~masks()[1]).sum()
-    fractions = any("half of a voxel" in each for each in labels.image.notes)
+    fractions = any(
+        "has fractions: voxels of at least one half" in each for each in labels.image.notes
+    )
     assert fractions == (options.get("kind") == "FRACTIONAL")
 
 
