@@ -238,7 +238,7 @@ def _structure_set(dataset: Any, source: str, image: Image | None) -> Masks:
     if any(np.ptp(each[:, 2]) > _FLAT_MM for held in polygons.values() for each in held):
         raise InputError(
             "outlines",
-            "lie in planes across the patient's long axis",
+            "lie in planes perpendicular to the patient's long axis",
             f"outlines in other planes in {source}",
             "export them as a segmentation (SEG or .seg.nrrd)",
         )

@@ -113,7 +113,9 @@ def given_names(names: str | Path) -> Mapping[int, str]:
     numbers = list(labels.values())
     whole = all(type(number) is int and 1 <= number <= MOST_LABELS for number in numbers)
     if set(table) != {"labels"} or not whole or not 0 < len(numbers) == len(set(numbers)):
-        found = f"the numbers {listed(numbers)}" if numbers else listed(table) or "nothing"
+        found = listed(numbers) or "no labels"
+        if len(table) > 1:
+            found = f"the keys {listed(table)}"
         raise InputError(
             "names",
             f"be one table [labels] with a different number from 1 to {MOST_LABELS} for each name",

@@ -371,7 +371,7 @@ def _whole(values: Numbers, source: str) -> tuple[NDArray[np.integer], list[str]
         raise InputError(
             "labels",
             f"be at most {_MOST_DIFFERENT} different whole numbers from 0 to {MOST_LABELS}",
-            f"values from {low:g} to {high:g} in {source}",
+            f"{len(np.unique(values))} different values from {low:g} to {high:g} in {source}",
             "give the segmentation, not the image or a map of probabilities",
         )
     notes = [f"The labels of {source} are up to {away:.2g} off whole numbers: they are rounded."]

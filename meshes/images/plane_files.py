@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from meshes.base.errors import InputError, is_folder, require_file
+from meshes.base.errors import InputError, counted, is_folder, require_file
 from meshes.base.text_tables import natural_order
 from meshes.images.dicom_files import is_dicom
 
@@ -131,7 +131,7 @@ def _require_numbered(files: Sequence[Path], path: Path) -> None:
         )
     wide = int(np.argmax(steps))
     if steps[wide] > steps.min():
-        missing = int(steps.sum() // steps.min()) - len(steps)
+        missing = counted(int(steps.sum() // steps.min()) - len(steps), "slice")
         raise InputError(
             "slice numbers",
             "be consecutive",

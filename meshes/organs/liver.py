@@ -248,8 +248,8 @@ def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) ->
         raise InputError(
             "nodule.centre_m",
             (
-                f"be at least {1e3 * (radius + spacing):.3g} mm below the surface (radius plus "
-                "spacing_m)"
+                f"be at least {1e3 * (radius + spacing):.3g} mm below the surface (its radius "
+                "plus the mesh spacing)"
             ),
             f"{1e3 * deep:.3g} mm",
             "move the centre deeper",

@@ -75,7 +75,7 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
             )
         found = tuple(_markup(one, file) for one in read_json(text)["markups"])
     except (UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError, AttributeError):
-        raise _error("be markups of 3D Slicer", "other data", file) from None
+        raise _error("be a markups file of 3D Slicer", "other data", file) from None
     if not found:
         raise _error("contain at least one markup", "none", file)
     return found

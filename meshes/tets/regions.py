@@ -101,7 +101,7 @@ def nodes_of_part(mesh: TetMesh, name: str) -> Nodes:
         raise InputError(
             "part",
             "contain cells of the mesh",
-            f"{name} without cells",
+            f"{name}, which has no cells",
             "use a finer mesh or another part",
         )
     return np.unique(cells)

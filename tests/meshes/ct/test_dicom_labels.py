@@ -217,5 +217,5 @@ def test_outlines_across_the_planes_are_refused(tmp_path):
         "bone": [each @ np.array([[1, 0, 0], [0, 0, 1], [0, 1, 0]]) for each in outlines()["bone"]]
     }
     path = write_structures(tmp_path / "rs.dcm", tilted)
-    with pytest.raises(InputError, match="lie in planes across the patient's long axis"):
+    with pytest.raises(InputError, match="lie in planes perpendicular to the patient's long axis"):
         read_labels(path, image=image(tmp_path))

@@ -44,7 +44,7 @@ def test_slices_follow_the_numbers_in_their_names(tmp_path, name, pattern):
     [
         (
             lambda f: [(f / f"slice_{k}.tif").unlink() for k in (5, 6)],
-            "slice_7.tif after slice_4.tif .*, 2 missing",
+            "slice_7.tif after slice_4.tif .*, 2 slices missing",
         ),
         (
             lambda f: (f / "slice_3.tif").rename(f / "thumbnail.tif"),

@@ -148,7 +148,7 @@ def unmendable(nodes: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.nda
             "share each face with at most one other cell",
         ),
         (folded, r"both cells on the same side, the first at \(.*\) mm"),
-        (unmendable, "got 1 flat tetrahedra of 3"),
+        (unmendable, "got 1 of 3 cells that are flat"),
     ],
 )
 def test_what_is_no_mesh_is_refused(cube: TetMesh, spoil: object, message: str) -> None:

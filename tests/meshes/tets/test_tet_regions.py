@@ -46,6 +46,6 @@ def test_a_part_chooses_all_its_nodes() -> None:
     with pytest.raises(InputError, match="part must be one of tissue, vessel or empty, got bone"):
         nodes_of_part(mesh, "bone")
     with pytest.raises(
-        InputError, match="part must contain cells of the mesh, got empty without cells"
+        InputError, match="part must contain cells of the mesh, got empty, which has no cells"
     ):
         nodes_of_part(mesh, "empty")

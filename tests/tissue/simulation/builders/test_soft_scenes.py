@@ -240,7 +240,7 @@ def test_a_liver_from_a_file_is_placed_held_and_pressed(anatomy):
         (
             "palpation",
             {"anatomy.nodule_centre_mm": [0, 0, -2]},
-            "anatomy.nodule_centre_mm must lie",
+            "anatomy.nodule_centre_mm must be at least",
         ),
         (
             "needle",
