@@ -53,7 +53,7 @@ def test_a_file_in_the_place_of_the_folder_is_refused(refused, here):
         "out must be a folder, got the file taken. Choose another --out"
     )
     assert refused("run", "milling", "--out", "taken/below/it") == (
-        f"out must lie in a folder, got taken/below/it under the file {here / 'taken'}. "
+        f"out must lie in a folder, got taken/below/it, but {here / 'taken'} is a file. "
         "Choose another --out"
     )
 

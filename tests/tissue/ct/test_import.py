@@ -195,11 +195,13 @@ def test_a_folder_of_several_series_is_listed_and_one_taken(tmp_path):
     )
     count = image.values.shape[2]
     with pytest.raises(
-        InputError, match=rf"number 3 of {count} slices, number 4 of {count} slices"
+        InputError, match=rf"number 3 with {count} slices and number 4 with {count} slices"
     ):
         imported(folder, tmp_path / "out")
     assert imported(folder, tmp_path / "out", series=4).has_site
-    with pytest.raises(InputError, match="series must be one that dicom holds, got 7"):
+    with pytest.raises(
+        InputError, match=r"series must be the number of a series in dicom, got 7\. Choose"
+    ):
         imported(folder, tmp_path / "out", series=7, overwrite=True)
 
 
@@ -258,7 +260,10 @@ def test_without_a_site_the_scene_asks_for_one(reference, tmp_path):
             {"crop_mm": ((5.0, 0.0, 0.0), (1.0, 2.0, 3.0))},
             "crop_mm must have a first corner below the second corner",
         ),
-        ({"crop_mm": ((500.0, 0.0, 0.0), (600.0, 2.0, 3.0))}, "crop_mm must leave two voxels"),
+        (
+            {"crop_mm": ((500.0, 0.0, 0.0), (600.0, 2.0, 3.0))},
+            "crop_mm must leave at least two voxels",
+        ),
         ({"density": "unheard"}, "density must"),
         ({"like": "liver-press"}, "like must be a scene in which a tool cuts"),
     ],

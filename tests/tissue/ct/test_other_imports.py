@@ -206,7 +206,7 @@ def test_a_soft_organ_is_meshed_with_its_parts_and_pressed(tmp_path):
 @pytest.mark.parametrize(
     ("options", "part"),
     [
-        ({"parts": {"tumor": 60.0}}, "parts must be one that a.seg.nrrd holds, got tumor"),
+        ({"parts": {"tumor": 60.0}}, "parts must be a label of a.seg.nrrd, got tumor"),
         ({"parts": {"tumour": -1.0}}, "parts must have a modulus above 0"),
         ({"density": "internal"}, "density must be left out for a soft organ"),
         ({"site": "glenoid"}, "site must be a point for a soft organ"),

@@ -244,7 +244,7 @@ def test_a_feed_holds_to_the_end():
         (lambda b: b.removed.plot(), "must have been cut"),
         (lambda b: tissue.Bone.from_file("scan.nii.gz"), "Bone.from_image"),
         (lambda b: tissue.Bone.from_file("missing.stl"), "missing.stl"),
-        (lambda b: tissue.Bone.from_array(np.zeros((3, 3, 3)), spacing_mm=1), "must hold bone"),
+        (lambda b: tissue.Bone.from_array(np.zeros((3, 3, 3)), spacing_mm=1), "must contain bone"),
         (lambda b: tissue.Bone.from_array(np.ones((3, 3)), spacing_mm=1), r"shape \(nx, ny, nz\)"),
         (lambda b: tissue.Bone.block(spacing_mm=0.0), "spacing_mm must"),
         (lambda b: tissue.Bone.block(cutting={"hardness": 1.0}), "hardness"),

@@ -189,7 +189,7 @@ def test_a_device_is_opened_where_a_scene_names_it(command, here):
     code, output, error = command(*words, "--duration-s", 0.1)
     assert (code, error) == (0, "") and "sprung" in output and Sprung.opened == opened + 1
     with pytest.raises(
-        InputError, match=r"device.kind must be one of touch, .*, sprung, got spring"
+        InputError, match=r"device.kind must be one of touch, .* or sprung, got spring"
     ):
         load_scene("wall", {"device": "spring"})
 

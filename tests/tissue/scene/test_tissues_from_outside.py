@@ -87,7 +87,7 @@ def test_a_probe_from_outside_presses(added):
     for changes, refusal in (
         (
             {"tool.kind": "wide-bal"},
-            r"^tool.kind must be one of ball-burr, .*, wide-ball, needle, blade, got wide-bal \(did",
+            r"^tool.kind must be one of ball-burr, .*, wide-ball, needle or blade, got wide-bal \(did",
         ),
         (
             {"tool.kind": "wide-ball", "tool.length_mm": 5.0},

@@ -206,7 +206,9 @@ def test_a_liver_from_a_file_is_placed_held_and_pressed(anatomy):
     ):
         press(**changes, **{"anatomy.scale_mm": 34.3})
     changes["anatomy.edge_mm"] = None
-    with pytest.raises(InputError, match=r"anatomy\.scale_mm must be given if the unit is unclear"):
+    with pytest.raises(
+        InputError, match=r"anatomy\.scale_mm must be given for .*, because its size of"
+    ):
         press(**changes)
     run = press(**changes, **{"anatomy.scale_mm": 34.3})
     assert "596 tetrahedra, 1475 ml" in run.parts.notes["mesh"]
@@ -238,7 +240,7 @@ def test_a_liver_from_a_file_is_placed_held_and_pressed(anatomy):
         (
             "palpation",
             {"anatomy.nodule_centre_mm": [0, 0, -2]},
-            "anatomy.nodule_centre_mm must lie",
+            "anatomy.nodule_centre_mm must be at least",
         ),
         (
             "needle",
