@@ -8,6 +8,7 @@ import numpy as np
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.hints import suggests_arguments
+from meshes.base.word_lists import word_list
 from tissue.evaluation.calibration.answers import Answer, simulated_answers
 from tissue.evaluation.calibration.observers import (
     SimulatedObservers,
@@ -68,7 +69,12 @@ def alike(count: int, **truth: float) -> SimulatedObservers:
     typical = reference_observer()
     names = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
     if strange := sorted(set(truth) - set(names)):
-        raise InputError("truth", f"hold only {', '.join(names)}", strange[0], "use one of these")
+        raise InputError(
+            "truth",
+            f"have only the keys {word_list(names)}",
+            f"the key {strange[0]}",
+            "rename or remove it",
+        )
     values: dict[str, Any] = {}
     for name in names:
         value = truth.get(name, getattr(typical, name))
