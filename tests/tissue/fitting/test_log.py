@@ -264,7 +264,7 @@ def test_positions_in_metres_under_a_name_in_millimetres_ask_for_the_unit(table,
 def test_missing_columns_are_suggested_by_their_headers(table, tmp_path):
     names = ("t [s]", "pos x [mm]", "py", "Z", "wrench.force.x", "Fy [N]", "Fz")
     write_table(Table(names, table.rows), tmp_path / "log.csv")
-    with pytest.raises(InputError, match="measured must hold tool_x_mm") as caught:
+    with pytest.raises(InputError, match="measured must have the columns tool_x_mm") as caught:
         read_log(tmp_path / "log.csv")
     flags = re.findall(r"--column '([^']*)'", str(caught.value))
     assert read_log(tmp_path / "log.csv", flags).loads == pytest.approx(table.rows[:, 4:])
