@@ -239,7 +239,7 @@ def test_without_a_site_the_scene_asks_for_one(reference, tmp_path):
             r"site must lie within 10 mm .* got \(0, -1, 500\) RAS in ct.nrrd.* nearest corner is "
             r"\(.*\) RAS\b",
         ),
-        ({"site": (0.0, float("nan"), 0.0)}, "site must hold three finite numbers"),
+        ({"site": (0.0, float("nan"), 0.0)}, "site must consist of three finite numbers"),
         (
             {"coordinates": "RAS", "site": None},
             "coordinates must be left out unless a box, a site or a path",
@@ -273,7 +273,7 @@ def test_what_cannot_be_used_is_refused_in_one_sentence(reference, tmp_path, opt
 
 
 def test_a_surface_is_not_imported(tmp_path):
-    with pytest.raises(InputError, match=r"got bone.stl. A surface needs no import: set anatomy.f"):
+    with pytest.raises(InputError, match=r"got bone.stl. To use a surface, set anatomy.f"):
         tissue.import_ct(tmp_path / "bone.stl", tmp_path / "out")
 
 
