@@ -109,6 +109,12 @@ def by(numbers: Iterable[float], form: str = "g") -> str:
     return " x ".join(format(number, form) for number in numbers)
 
 
+def listed(names: Iterable[object], word: str = "and") -> str:
+    """Join names as text, for example "a, b and c"."""
+    *first, last = [str(name) for name in names] or [""]
+    return f"{', '.join(first)} {word} {last}" if first else last
+
+
 def in_brackets(numbers: Iterable[float], form: str = "g") -> str:
     """Format coordinates, for example "(1, 2, 3)"."""
     return f"({', '.join(format(number, form) for number in numbers)})"

@@ -6,10 +6,9 @@ from datetime import UTC, datetime
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, listed
 from meshes.base.text_tables import number_or_nan
 from meshes.base.units import UNITS, column_of, name_of, plain_unit, unit_of
-from meshes.base.word_lists import word_list
 from tissue.fitting.log_files import CHANNELS, QUATERNION, TIPS, LogColumns
 
 ROTATION_VECTOR = tuple(f"tool_r{c}_rad" for c in "xyz")
@@ -217,7 +216,7 @@ def suggested(missing: Sequence[str], names: Sequence[str]) -> str:
 
 def the_columns(names: Sequence[str]) -> str:
     """Return the names of columns as a phrase such as "the columns a and b"."""
-    return f"the {'column' if len(names) == 1 else 'columns'} {word_list(names)}"
+    return f"the {'column' if len(names) == 1 else 'columns'} {listed(names)}"
 
 
 def _is_like(name: str, header: str) -> bool:

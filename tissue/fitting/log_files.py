@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Numbers
-from meshes.base.errors import DamagedFileError, InputError, is_file
+from meshes.base.errors import DamagedFileError, InputError, is_file, listed
 from meshes.base.extras import install_command
 from meshes.base.file_limits import read_npz, require_memory
 from meshes.base.isolated_parser import Answer, parse_isolated
 from meshes.base.tables import read_table
 from meshes.base.text_tables import number_in
-from meshes.base.word_lists import word_list
 from tissue.motion.drilling_recording import poses_group, read_drilling
 
 _RATE = re.compile(r"(?:rate|frequency)\W*(\d+(?:[.,]\d+)?)\W*Hz", re.IGNORECASE)
@@ -103,7 +102,7 @@ def read_columns(path: Path) -> LogColumns:
     require_memory(path.stat().st_size, path.name, "text or numbers")
     kind = path.suffix.lower()
     if kind not in READERS:
-        known = word_list(READERS, "or")
+        known = listed(READERS, "or")
         raise InputError(
             "measured", f"be a file that ends in {known}", path.name, "export it as CSV"
         )

@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, listed
 from meshes.base.hints import suggests_arguments
-from meshes.base.word_lists import word_list
 from tissue.evaluation.calibration.answers import Answer, simulated_answers
 from tissue.evaluation.calibration.observers import (
     SimulatedObservers,
@@ -71,7 +70,7 @@ def alike(count: int, **truth: float) -> SimulatedObservers:
     if strange := sorted(set(truth) - set(names)):
         raise InputError(
             "truth",
-            f"have only the keys {word_list(names)}",
+            f"have only the keys {listed(names)}",
             f"the key {strange[0]}",
             "rename or remove it",
         )

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from meshes.base.errors import InputError
+from meshes.base.errors import listed as joined
 from meshes.base.file_limits import require_regular
 from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import read_toml
-from meshes.base.word_lists import word_list
 from tissue.materials.constants import LINEAR, Entry, add_material, constants, listed
 from tissue.materials.scene_constants import checked_constant
 from tissue.objects.part_checks import (
@@ -375,7 +375,7 @@ def _add_materials(path: Path) -> tuple[str, ...]:
         raise InputError(
             "material",
             "have only the tables cutting and soft",
-            f"{word_list(found) or 'none'} in {path}",
+            f"{joined(found) or 'none'} in {path}",
             "use these two tables",
         )
     for table, materials in found.items():
@@ -395,7 +395,7 @@ def _require_material(path: Path, table: str, material: str, entries: dict[str, 
     """Raise an error if a material's name is in use, or a constant or source is missing."""
     where = f"{table}.{material}"
     if not re.fullmatch(NAME, material) or material in listed(table):
-        known = word_list(listed(table))
+        known = joined(listed(table))
         raise InputError(
             table,
             "have new names of lower-case letters, digits, - and _ for its materials, other than "
@@ -405,19 +405,19 @@ def _require_material(path: Path, table: str, material: str, entries: dict[str, 
         )
     cutting = tuple(name for name in constants("cutting", "bone") if name not in LINEAR)
     needed = cutting if table == "cutting" else SOFT
-    missing = word_list(each for each in needed if each not in entries)
+    missing = joined(each for each in needed if each not in entries)
     if missing:
         raise InputError(
             where,
-            f"have the constants {word_list(needed)}",
+            f"have the constants {joined(needed)}",
             f"no value for {missing} in {path}",
             f"add {missing}",
         )
-    extra = word_list(each for each in entries if each not in needed)
+    extra = joined(each for each in entries if each not in needed)
     if extra and table == "cutting":
         raise InputError(
             where,
-            f"have only the constants {word_list(needed)}",
+            f"have only the constants {joined(needed)}",
             f"{extra} in {path}",
             f"remove {extra}",
         )

@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, counted, require_range
+from meshes.base.errors import InputError, counted, listed, require_range
 from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress
 from meshes.base.text_tables import shown
-from meshes.base.word_lists import word_list
 from tissue.evaluation.assessment import path_note
 from tissue.objects.comparison import PLOTTED, Comparison, shortened, split_formats, write_rows
 from tissue.objects.html import figures_of, intervals_of, table_html
@@ -193,7 +192,7 @@ class Sweep:
         known = self.figure_names
         if unknown := [name for name in names if name not in known]:
             raise InputError(
-                "figures", f"be among {word_list(known)}", unknown[0], "choose from these names"
+                "figures", f"be among {listed(known)}", unknown[0], "choose from these names"
             )
         if not names or len(self.keys) not in (1, 2):
             raise InputError(
@@ -355,11 +354,11 @@ def planned(
         If a key has no values, if there are more than `MOST_RUNS` combinations, or if all
         combinations with a certain value are invalid.
     """
-    listed = {key: _listed(key, values) for key, values in changes.items()}
-    count = prod(len(values) for values in listed.values())
+    given = {key: _listed(key, values) for key, values in changes.items()}
+    count = prod(len(values) for values in given.values())
     require_range("number of runs", count, 1, MOST_RUNS, "give fewer values")
-    fixed = {key: values[0] for key, values in listed.items() if len(values) == 1}
-    swept = {key: values for key, values in listed.items() if len(values) > 1}
+    fixed = {key: values[0] for key, values in given.items() if len(values) == 1}
+    swept = {key: values for key, values in given.items() if len(values) > 1}
     base = scene if isinstance(scene, Scene) else load_scene(scene)
     words = [_words(key, values, swept) for key, values in swept.items()]
     found: dict[str, SweptRun] = {}

@@ -144,7 +144,7 @@ def test_a_tooth_of_labels_is_drilled_over_its_largest_lesion(tmp_path):
         ),
         (
             {"site": "tooth", "labels": True, "series": 2},
-            "series must be left out where the labels are the source",
+            "series must be left out if the labels are the source",
         ),
         ({"site": "tooth", "labels": True, "coordinates": "RAS"}, "coordinates must be left out"),
     ],

@@ -289,7 +289,7 @@ def test_objects_of_matlab_are_named(tmp_path):
     opaque[0] = (b"log", b"MCOS", b"timetable", np.zeros(1))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("scipy.io.loadmat", lambda *_, **__: {"None": MatlabOpaque(opaque)})
-        with pytest.raises(InputError, match=r"the MATLAB object of class timetable in a\.mat"):
+        with pytest.raises(InputError, match=r"an object of the MATLAB class timetable in a\.mat"):
             mat_columns(tmp_path / "a.mat")
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "b.mat", "w", userblock_size=512) as file:

@@ -163,9 +163,11 @@ def test_a_ball_that_is_pressed_too_deep_is_refused():
 
 def test_all_reasons_against_a_table_are_given_in_one_message(tmp_path):
     path = written(tmp_path / "presses.csv", [2.0 * DEPTHS_M])
-    with pytest.raises(InputError, match=r"at least 3 presses.*\. anatomy\.kind must be slab"):
+    with pytest.raises(
+        InputError, match=r"at least 3 complete presses.*\. anatomy\.kind must be slab"
+    ):
         tissue.fit(load_scene("liver-press"), path)
-    with pytest.raises(InputError, match=r"at least 3 presses.*depths up to 0\.8 mm"):
+    with pytest.raises(InputError, match=r"at least 3 complete presses.*depths up to 0\.8 mm"):
         tissue.fit(load_scene("palpation", FLAT | {"tool.diameter_mm": 2.0}), path)
 
 
