@@ -298,7 +298,7 @@ def test_objects_of_matlab_are_named(tmp_path):
         file["log"].attrs["MATLAB_object_decode"] = np.int32(3)
     with (tmp_path / "b.mat").open("r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file")
-    with pytest.raises(InputError, match=r"timetable in b\.mat. Write it in MATLAB as CSV"):
+    with pytest.raises(InputError, match=r"timetable in b\.mat. In MATLAB, write it as CSV"):
         read_log(tmp_path / "b.mat")
 
 

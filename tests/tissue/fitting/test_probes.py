@@ -167,7 +167,7 @@ def test_all_reasons_against_a_table_are_given_in_one_message(tmp_path):
         InputError, match=r"at least 3 complete presses.*\. anatomy\.kind must be slab"
     ):
         tissue.fit(load_scene("liver-press"), path)
-    with pytest.raises(InputError, match=r"at least 3 complete presses.*depths up to 0\.8 mm"):
+    with pytest.raises(InputError, match=r"at least 3 complete presses.*depths of at most 0\.8 mm"):
         tissue.fit(load_scene("palpation", FLAT | {"tool.diameter_mm": 2.0}), path)
 
 

@@ -52,7 +52,7 @@ def test_tls_without_certificates_names_what_to_set(dask_config, tmp_path):
         dask_config.set(missing),
         pytest.raises(
             InputError,
-            match=r"DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT must name .*none, which is no file",
+            match=r"DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT must be the path of .*none, which is not a file",
         ),
         executor(1, "tls://127.0.0.1:9", patience_s=0.2),
     ):
