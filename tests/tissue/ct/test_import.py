@@ -233,7 +233,7 @@ def test_without_a_site_the_scene_asks_for_one(reference, tmp_path):
     [
         (
             {"region": "humerus"},
-            "region must be left out without labels, got humerus. Give the file of the labels",
+            "region must be left out without labels. Give the labels by",
         ),
         ({"site": "glenoyd"}, r"did you mean glenoid\?"),
         (
@@ -241,7 +241,7 @@ def test_without_a_site_the_scene_asks_for_one(reference, tmp_path):
             r"site must lie within 10 mm .* got \(0, -1, 500\) RAS in ct.nrrd.* nearest corner is "
             r"\(.*\) RAS\b",
         ),
-        ({"site": (0.0, float("nan"), 0.0)}, "site must hold three finite numbers"),
+        ({"site": (0.0, float("nan"), 0.0)}, "site must consist of three finite numbers"),
         (
             {"coordinates": "RAS", "site": None},
             "coordinates must be left out unless a box, a site or a path",
@@ -278,7 +278,7 @@ def test_what_cannot_be_used_is_refused_in_one_sentence(reference, tmp_path, opt
 
 
 def test_a_surface_is_not_imported(tmp_path):
-    with pytest.raises(InputError, match=r"got bone.stl. A surface needs no import: set anatomy.f"):
+    with pytest.raises(InputError, match=r"got bone.stl. To use a surface, set anatomy.f"):
         tissue.import_ct(tmp_path / "bone.stl", tmp_path / "out")
 
 
@@ -317,10 +317,10 @@ def test_pictures_are_drawn(reference, tmp_path):
     [
         (
             ["--part", "tumour=40"],
-            "--part must be left out without labels, got tumour. Give the file of the labels by",
+            "--part must be left out without labels. Give the labels by",
         ),
         (["--part", "tumour"], "--part must be NAME=KPA, got tumour"),
-        (["--feed-mm-s", "3"], "--feed-mm-s must be left out without a path, got 3.0. Give --path"),
+        (["--feed-mm-s", "3"], "--feed-mm-s must be left out without a path. Give --path"),
         (["--crop", "5,0,0,1,2,3"], "--crop must have a first corner below the second corner"),
         (["--crop", "5,0,0"], "--crop must be 6 numbers"),
         (

@@ -100,7 +100,7 @@ def test_an_action_of_another_shape_is_refused_with_the_shape(env):
     env.reset(seed=0)
     count = env.action_space.shape[0]
     for action, got in (
-        (np.zeros(count + 1), rf"got shape \({count + 1},\)"),
+        (np.zeros(count + 1), rf"got an array of shape \({count + 1},\)"),
         ("up", "another type"),
     ):
         with pytest.raises(

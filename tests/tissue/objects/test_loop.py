@@ -180,7 +180,10 @@ def test_an_organ_pushes_back_as_when_it_is_pressed():
         ({"low_pass_ms": -1.0}, "^low_pass_ms must"),
         ({"motion_scale": 0.0}, "^motion_scale must"),
         ({"predictor": object()}, "must have observe and predict"),
-        ({"predictor_file": "a.npz"}, "predictor_file must be given with"),
+        (
+            {"predictor_file": "a.npz"},
+            "predictor_file must be given only if predictor is a name, got predictor=None",
+        ),
         ({"axis": (0, 0, 0)}, "axis must"),
         ({"reach_mm": 0.0}, "reach_mm must"),
         ({"delay_ms": 0.5}, "delay_ms"),

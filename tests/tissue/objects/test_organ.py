@@ -290,12 +290,12 @@ def pressing(**changes):
         (changed(capsule=(50, 0)), "capsule must be positive"),
         (
             pressing(at_mm=(0, 0, 30)),
-            "at_mm must lie on the surface, got (0, 0, 30). The nearest point of the surface",
+            "at_mm must lie on the surface, got (0, 0, 30). Use the nearest point of the surface",
         ),
         (pressing(at_mm=(0, 0)), "at_mm must be three finite numbers"),
         (
             pressing(along=(0, 0, 1)),
-            "along must lead into the organ, got (0, 0, 1). Use (0, 0, -1)",
+            "along must point into the organ, got (0, 0, 1). Use (0, 0, -1)",
         ),
         (pressing(depth_mm=0), "depth_mm must be positive"),
         (pressing(at_mm=(0, 0, -24)), "at_mm must bring the tool to tissue that can move"),
@@ -392,7 +392,7 @@ def test_a_press_whose_force_falls_with_depth_is_refused():
     organ = tissue.Organ.block((40, 40, 20), modulus_kPa=8, poisson_ratio=0.45, edge_mm=4, order=1)
     with pytest.raises(
         InputError,
-        match=r"depth_mm must be a depth up to which the force increases, got 14, .*[Pp]ress less",
+        match=r"depth_mm must be a depth up to which the force increases, got 14, .*Use a smaller depth",
     ):
         organ.press(tissue.ball(diameter_mm=12), depth_mm=14, at_mm=(0, 0, 0))
 
