@@ -471,7 +471,7 @@ def read_summary(folder: Path) -> Summary:
             "summary.json",
             f"have a valid entry {name}",
             # A wrong entry may be long, so the message is cut.
-            f"{str(held.get(name))[:60]} in {path}",
+            f"{str(held.get(name, 'no such entry'))[:60]} in {path}",
             AGAIN,
         ) from None
     return held

@@ -383,5 +383,5 @@ def read_trace(path: Path, layer_names: tuple[str, ...]) -> Table:
         raise _line_error(path, row, "contain only finite numbers", got)
     early = np.flatnonzero(np.diff(table["time_s"]) <= 0.0)
     if len(early):
-        raise _line_error(path, early[0] + 1, "have increasing times time_s", "an earlier time")
+        raise _line_error(path, early[0] + 1, "have increasing time_s", "an earlier time")
     return table
