@@ -232,7 +232,7 @@ BY_DATA = {
 }
 """Refusals of keys that only the contents of files leave without effect.
 
-Other keys are refused with "must be left out".
+Other keys are refused with "must be left out" or "must not be combined".
 """
 CLOCK = ("tick_us", "missed_deadlines", "events", "machine", "tissue", "scheduling", "machine_gaps")
 """Entries of a summary that a clock or a machine decides."""
@@ -347,9 +347,10 @@ def without_effect(kind, keys, files, folder):
 
 def is_refused(key, message):
     """Return True if a refusal reports that a key, or its whole table, has no effect."""
-    keys, must, rest = message.partition(" must be left out ")
+    combined = " must not be combined, got "
+    keys, must, rest = message.partition(combined if combined in message else " must be left out ")
     named = keys.replace(",", " ").split()
-    well_formed = must and "\n" not in message and ", got " in rest and ". " in rest
+    well_formed = must and "\n" not in message and ". " in rest
     by_data = key in BY_DATA and message.startswith(BY_DATA[key])
     return by_data or (bool(well_formed) and (key in named or key.split(".")[0] in named))
 
