@@ -202,7 +202,7 @@ def here(tmp_path, monkeypatch):
     [
         (
             ("run", "wall", "--cores", "2"),
-            "--cores must be left out for a wall, which needs no kernels. Remove it",
+            "--cores must be left out for a wall, which needs no kernels, got 2. Remove it",
         ),
         (
             ("run", "milling", "--allow-unstable"),
@@ -214,28 +214,28 @@ def here(tmp_path, monkeypatch):
         (
             ("run", "milling", "--seed", "3"),
             (
-                "seed must be left out without a device, because the run then has no random numbers. "
-                "Set device = touch, or remove seed"
+                "seed must be left out without a device, because the run then has no random numbers, "
+                "got 3. Set device = touch, or remove seed"
             ),
         ),
         (
             ("run", "milling", "--fidelity", "force_error=0.1", "--set", "voxels.removal=binary"),
             (
-                "voxels.removal must be left out with fidelity, which chooses it. "
+                "voxels.removal must be left out with fidelity, which chooses it, got binary. "
                 "Leave fidelity out, or remove voxels.removal"
             ),
         ),
         (
             ("run", "wall", "--fidelity", "force_error=0.1", "--set", "prediction=hold"),
             (
-                "device.prediction must be left out with fidelity, which chooses it. "
+                "device.prediction must be left out with fidelity, which chooses it, got hold. "
                 "Leave fidelity out, or remove device.prediction"
             ),
         ),
         (
             ("run", "liver-press", "--fidelity", "force_error=0.1", "--set", "organ.order=1"),
             (
-                "organ.order must be left out with fidelity, which chooses it. Leave "
+                "organ.order must be left out with fidelity, which chooses it, got 1. Leave "
                 "fidelity out, or remove organ.order"
             ),
         ),
@@ -248,7 +248,10 @@ def here(tmp_path, monkeypatch):
         ),
         (
             ("run", "wall", "--live", "--slicer-port", "5"),
-            ("--slicer-port must be left out without --slicer. Give --live --slicer, or remove it"),
+            (
+                "--slicer-port must be left out without --slicer, got 5. Give --live --slicer, "
+                "or remove it"
+            ),
         ),
         (
             ("run", "wall", "--live", "--slicer-drives"),
@@ -274,12 +277,12 @@ def here(tmp_path, monkeypatch):
         ),
         (
             ("run", "wall", "--live", "--web", "--band", "20"),
-            "--band must be left out with --live. Run the scene without --live",
+            "--band must be left out with --live, got 20. Run the scene without --live",
         ),
         (
             ("chart", "wall", "--trials", "5"),
             (
-                "--trials must be left out unless predictors are charted. Add prediction "
+                "--trials must be left out unless predictors are charted, got 5. Add prediction "
                 "before the scenes, or remove it"
             ),
         ),
@@ -290,15 +293,15 @@ def here(tmp_path, monkeypatch):
         (
             ("calibrate", "--population", "x", "--trials", "5"),
             (
-                "--trials must be left out with --population, which uses sessions that have ended. "
-                "Remove it"
+                "--trials must be left out with --population, which uses sessions that have ended, "
+                "got 5. Remove it"
             ),
         ),
         (
             ("study", "run", "--only", "T1-novice-0001", "--workers", "2"),
             (
                 "--workers must be left out with --only, which runs one trial here and writes "
-                "no files. Remove it"
+                "no files, got 2. Remove it"
             ),
         ),
         (
