@@ -189,14 +189,14 @@ SUMMARY = {
         ),
         ({"format": None}, "must state the version of its format"),
         ({"format": True}, "must state the version of its format"),
-        ({"status": "fine"}, "must hold status"),
-        ({"status": "complete"}, "must hold simulated_s"),
-        ({"layers": "bone"}, "must hold layers"),
-        ({"layers": ["a", "a"]}, "must hold layers"),
-        ({"layers": [3]}, "must hold layers"),
-        ({"events": {"what": 1}}, "must hold events"),
-        ({"events": [{"what": "x"}]}, "must hold events"),
-        ({"scene": ["milling"]}, "must hold scene"),
+        ({"status": "fine"}, "must have a valid entry status"),
+        ({"status": "complete"}, "must have a valid entry simulated_s"),
+        ({"layers": "bone"}, "must have a valid entry layers"),
+        ({"layers": ["a", "a"]}, "must have a valid entry layers"),
+        ({"layers": [3]}, "must have a valid entry layers"),
+        ({"events": {"what": 1}}, "must have a valid entry events"),
+        ({"events": [{"what": "x"}]}, "must have a valid entry events"),
+        ({"scene": ["milling"]}, "must have a valid entry scene"),
     ],
 )
 def test_a_bad_summary_is_refused(tmp_path, change, sentence):
@@ -210,8 +210,8 @@ def test_a_bad_summary_is_refused(tmp_path, change, sentence):
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("0.001,", "up,", "must hold numbers, got 'up' for time_s in line 3"),
-        ("0.001,", "nan,", "must hold finite numbers"),
+        ("0.001,", "up,", "must contain only numbers, got 'up' for time_s in line 3"),
+        ("0.001,", "nan,", "must contain only finite numbers"),
         ("0.001,", "-1.0,", "must have increasing time_s"),
         ("0.001,", "0.001,7,", "values in each line"),
         ('"bone, hard"\n', "marrow\n", "must name a layer of the run"),

@@ -66,7 +66,7 @@ def test_a_scene_file_that_may_not_be_read_is_refused(refused, here, monkeypatch
 
     monkeypatch.setattr(Path, "read_bytes", closed)
     message = refused("run", "x.toml")
-    assert message.startswith("scene ") and "permission denied at x.toml" in message
+    assert message.startswith("scene ") and "x.toml (permission denied)" in message
 
 
 CUBE = np.array(CUBE_CORNERS, dtype=float) * 30.0

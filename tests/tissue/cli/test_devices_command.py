@@ -181,7 +181,7 @@ def test_the_push_is_made_only_after_the_word_is_typed(
         (("--yes",), "--yes must be left out without --test. Name a device by --test"),
         (
             ("--out", "x.toml"),
-            "--out must be left out without --test, got x.toml. Name a device by --test",
+            "--out must be left out without --test. Name a device by --test",
         ),
         (
             ("--test", "network", "--overwrite"),

@@ -130,7 +130,7 @@ def test_constants_of_a_file_hold_in_an_environment_and_others_are_refused(tmp_p
     np.testing.assert_allclose(forces[1], 2.0 * forces[0], rtol=1e-6)
     modulus = Constant(5.0, 5.0, 5.0, "a test", "L")
     write_fitted(file, {"soft.liver.modulus_kPa": modulus}, np.eye(1))
-    with pytest.raises(InputError, match="must hold a constant that the environment uses"):
+    with pytest.raises(InputError, match="must contain a constant that the environment uses"):
         tissue.environments.Drilling(materials=file).reset(seed=0)
     with pytest.raises(TypeError, match="materials"):
         tissue.environments.Palpation(materials=file)

@@ -165,7 +165,7 @@ def test_an_organ_pushes_back_as_when_it_is_pressed():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"device": object()}, "device must have read and command"),
+        ({"device": object()}, "device must have the methods read and command"),
         ({"device": Moves}, r"got the class Moves. Give Moves\(\)"),
         ({"predictor": Line}, r"got the class Line. Give Line\(\)"),
         ({"limits": {"mass": 0.1}}, "did you mean mass_kg"),

@@ -79,7 +79,8 @@ def test_parts_are_known_by_name_by_number_and_by_array():
     assert forces[1:] == pytest.approx([forces[1]] * 3, rel=1e-9)
     with pytest.raises(
         InputError,
-        match=r"parts must name parts of the mesh, got 'tumour'\. Use parts of the mesh, which has cyst, kidney",
+        match=r"parts must name parts of the mesh, got 'tumour'\. Use names of its parts: cyst, "
+        "kidney",
     ):
         tissue.Organ.from_tetrahedra(
             grid_of(points, cells, part=names), parts={"tumour": 80}, **STIFF
@@ -273,11 +274,12 @@ def pressing(**changes):
         (changed(poisson_ratio=0.5), "poisson_ratio must be in [-0.999, 0.4999], got 0.5"),
         (
             changed(parts={"cyst": 40}),
-            "parts must name parts of the mesh, got 'cyst'. Use parts of the mesh, which has body",
+            "parts must name parts of the mesh, got 'cyst'. Use names of its parts: body",
         ),
         (
             changed(held="left"),
-            "held must be one of bottom, top, -x, +x, -y, +y, -z, +z, body or points, got 'left'",
+            "held must be one of bottom, top, -x, +x, -y, +y, -z, +z, body, or an array of points, "
+            "got 'left'",
         ),
         (changed(held=[]), "held must"),
         (
