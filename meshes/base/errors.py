@@ -104,17 +104,15 @@ def counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
-def in_words(names: Iterable[object], last: str = "and") -> str:
-    """Join names with commas and a word before the last name, for example "a, b and c"."""
-    texts = [str(name) for name in names]
-    if len(texts) < 2:
-        return "".join(texts)
-    return f"{', '.join(texts[:-1])} {last} {texts[-1]}"
-
-
 def by(numbers: Iterable[float], form: str = "g") -> str:
     """Format the sizes of several axes as text, for example "3 x 4 x 5"."""
     return " x ".join(format(number, form) for number in numbers)
+
+
+def listed(names: Iterable[object], word: str = "and") -> str:
+    """Join names as text, for example "a, b and c"."""
+    *first, last = [str(name) for name in names] or [""]
+    return f"{', '.join(first)} {word} {last}" if first else last
 
 
 def in_brackets(numbers: Iterable[float], form: str = "g") -> str:
@@ -295,7 +293,7 @@ def require_file(file: Path, content: str) -> None:
         )
     if file.stat().st_size == 0:
         raise InputError(
-            "file", f"hold {content}", f"the empty file {file.name}", "export it again"
+            "file", f"contain {content}", f"the empty file {file.name}", "export it again"
         )
 
 

@@ -84,10 +84,10 @@ def require_memory(needed: int, file: str, content: str) -> None:
     limit = memory_limit_bytes()
     if needed <= limit:
         return
-    source = "as given" if _limit_GB.get() is not None else "half of the free memory"
+    source = "the given limit" if _limit_GB.get() is not None else "half of the free memory"
     raise InputError(
         "file",
-        f"fit {limit / _GB:.3g} GB of memory ({source})",
+        f"fit into {limit / _GB:.3g} GB of memory ({source})",
         f"{content} in {file}, which take {needed / _GB:.3g} GB",
         (
             "crop or resample the data, or raise the limit with --max-memory-GB "
@@ -145,7 +145,7 @@ def read_npz(path: Path) -> "dict[str, NDArray[np.generic]]":
                 stated = _npy_bytes(stream.read(_LONGEST_HEADER))
                 if stated != entry.file_size:
                     raise ValueError(
-                        f"{entry.filename} states {stated} bytes and holds another number"
+                        f"{entry.filename} states {stated} bytes but has another number"
                     )
     with np.load(path, allow_pickle=False) as stored:
         return {

@@ -140,9 +140,9 @@ def parse_isolated(
     if not sys.executable:
         raise InputError(
             "file",
-            "be read by a second Python process, which could not be started",
-            file.name,
-            "read the file with a command of tissue",
+            "be read in a separate Python process",
+            f"{file.name}, but sys.executable is empty, so that Python cannot be started",
+            "read the file with a `tissue` command",
         )
     if not file.is_dir():
         require_regular(file)

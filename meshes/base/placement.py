@@ -96,7 +96,7 @@ class Placement:
         if not (rigid and np.isfinite(unit) and unit > 0.0):
             raise InputError(
                 "placement",
-                "hold file_to_scene_mm, a rigid motion of 4 x 4 numbers, and file_unit_mm",
+                "have the keys file_to_scene_mm (a rigid 4 x 4 transformation) and file_unit_mm",
                 f"{record!r:.200}",
                 "run the scene again",
             )

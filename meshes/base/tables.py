@@ -92,9 +92,11 @@ class TextTable:
             If no column or several columns have this name, or a cell does not contain a number.
         """
         if self.names.count(name) != 1:
-            problem = f"{self.names.count(name)} columns named {name} in {self.path.name}"
             raise InputError(
-                self.what, "have a different name for each column", problem, "rename one of them"
+                self.what,
+                f"have exactly one column named {name}",
+                f"{self.names.count(name)} in {self.path.name}",
+                "rename the columns",
             )
         column = self.names.index(name)
         cells = [row[column].strip() for row in self.rows]
@@ -105,8 +107,9 @@ class TextTable:
             try:
                 found[row] = convert(cell)
             except ValueError:
-                text = f"{cell[:40]!r} for {name} in line {self.lines[row]} of {self.path.name}"
-                raise InputError(self.what, "hold numbers", text, _AGAIN) from None
+                where = f"the column {name} in line {self.lines[row]} of {self.path.name}"
+                text = f"{cell[:40]!r} in {where}"
+                raise InputError(self.what, "contain only numbers", text, _AGAIN) from None
         if is_time and not (found > _DAY_S).any():
             # Times of day start again at 0 at midnight.
             found += _DAY_S * np.cumsum(np.diff(found, prepend=found[0]) < -0.5 * _DAY_S)
@@ -124,9 +127,9 @@ class TextTable:
         wrong = np.flatnonzero(~np.isfinite(found))
         if len(wrong):
             row = int(wrong[0])
-            cell = self.rows[row][self.names.index(name)].strip() or "nothing"
-            text = f"{cell[:40]} for {name} in line {self.lines[row]} of {self.path}"
-            raise InputError(self.what, "hold finite numbers", text, "fix that line")
+            cell = self.rows[row][self.names.index(name)].strip() or "an empty cell"
+            text = f"{cell[:40]} in the column {name} in line {self.lines[row]} of {self.path}"
+            raise InputError(self.what, "contain only finite numbers", text, "fix that line")
         return found
 
     def _number(self, cell: str) -> float:
@@ -186,7 +189,7 @@ def decoded_text(path: Path, what: str, *, remedy: str = "export it as CSV") -> 
             return content.decode(encoding, "replace")
     # text in other encodings has no zero bytes, but a binary file has zero bytes near its start
     if b"\0" in content[:4096]:
-        raise InputError(what, "hold text", f"other data in {path.name}", remedy)
+        raise InputError(what, "be a text file", f"binary data in {path.name}", remedy)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -237,7 +240,7 @@ def read_table(path: Path, what: str, *, may_be_cut: bool = False) -> TextTable:
     for at in places:
         if len(cells[at]) != width:
             found = f"{len(cells[at])} in line {at + 1} of {path.name}"
-            raise InputError(what, f"hold {width} values in each line", found, _AGAIN)
+            raise InputError(what, f"have {width} values in each line", found, _AGAIN)
     rows = [cells[at] for at in places]
     marks = _marks(rows, delimiter, path, what)
     if marks[1]:
@@ -276,7 +279,7 @@ def _form(lines: list[str], path: Path, what: str) -> tuple[str, int]:
     if not form[1]:
         raise InputError(
             what,
-            "hold a table with at least two columns of numbers",
+            "contain a table with at least two columns of numbers",
             f"none in {path.name}",
             "export it as CSV",
         )

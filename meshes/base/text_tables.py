@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, listed
 from meshes.base.hints import nearest
 
 LONGEST_NUMBER = 308
@@ -195,7 +195,10 @@ def unknown_name(key: str, known: Iterable[str], got: object) -> InputError:
     known = list(known)
     word = shown(got)
     return InputError(
-        key, f"be one of {', '.join(known)}", f"{word}{nearest(word, known)}", "choose one of these"
+        key,
+        f"be one of {listed(known, 'or')}",
+        f"{word}{nearest(word, known)}",
+        "choose one of these",
     )
 
 

@@ -119,16 +119,17 @@ def require_version(
         raise InputError(
             # Truncate the text, because a damaged file may contain text of any length.
             what,
-            "state the version of its format",
-            f"{str(stated)[:40]} in {where}",
+            "state the version of its format as a positive whole number",
+            f"{'none' if stated is None else str(stated)[:40]} in {where}",
             remedy,
         )
     if stated > newest:
-        writer = str(held.get("tissue", "a later version"))[:40]
+        version = held.get("tissue")
+        writer = "a later version of tissue" if version is None else f"tissue {str(version)[:40]}"
         raise InputError(
             what,
-            f"be of format {newest} or older",
-            f"{stated}, written by tissue {writer}, in {where}",
+            f"have format {newest} or older",
+            f"format {stated} in {where}, written by {writer}",
             "read it with that version of tissue",
         )
     return stated
@@ -184,7 +185,9 @@ def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
     except UnicodeEncodeError:
         is_named = False
     if not is_named:
-        raise InputError(name, "be a name in UTF-8 without NUL", f"{text!r}", choose)
+        raise InputError(
+            name, "be a file name in UTF-8 without NUL characters", f"{text!r}", choose
+        )
     if not folder and path.is_dir():
         raise InputError(name, "be a file", f"the folder {path}", "add the name of a file")
     place = path.absolute()
@@ -197,7 +200,7 @@ def require_place(path: Path, *, folder: bool, name: str = "out") -> None:
     if not existing.is_dir():
         if existing == place:
             raise InputError(name, "be a folder", f"the file {path}", choose)
-        raise InputError(name, "lie in a folder", f"{path} under the file {existing}", choose)
+        raise InputError(name, "lie in a folder", f"{path}, but {existing} is a file", choose)
     if not os.access(existing, os.W_OK | os.X_OK):
         raise InputError(name, "be writable", f"permission denied at {existing}", choose)
 

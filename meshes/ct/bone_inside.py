@@ -203,12 +203,12 @@ def _require_covered(surface: Surface, density: Image) -> None:
     if covered < _LEAST_COVERED:
         raise InputError(
             "density_file",
-            "hold the density of the bone up to its surface",
+            "contain the density of the bone up to its surface",
             (
-                f"none at {1 - covered:.0%} of the surface of {surface.report.source} in "
+                f"no density at {1 - covered:.0%} of the surface of {surface.report.source} in "
                 f"{density.source}"
             ),
-            "give both in one frame (LPS, mm)",
+            "give both files in the same frame (LPS, mm)",
         )
     # Negative values are Hounsfield units of air. No implant is denser than gold with 19,300 kg/m3.
     if (
@@ -218,9 +218,9 @@ def _require_covered(surface: Surface, density: Image) -> None:
     ):
         raise InputError(
             "density_file",
-            "hold apparent densities from 0 to 20000 kg/m3",
+            "contain apparent densities from 0 to 20000 kg/m3",
             f"{density.values.min():g} to {density.values.max():g} in {density.source}",
-            "convert Hounsfield units by `tissue import`",
+            "convert Hounsfield units with `tissue import`",
         )
 
 
@@ -238,5 +238,5 @@ def _require_within(surface: Surface, core: Surface) -> None:
             "core_file",
             "lie within anatomy.file",
             f"{1.0 - touching:.0%} of {core.report.source} outside {surface.report.source}",
-            "give both in one frame and unit",
+            "give both files in the same frame and unit",
         )

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from meshes.base.arrays import Array, Ints, Singles
-from meshes.base.errors import InputError, require_range
+from meshes.base.errors import InputError, listed, require_range
 from meshes.ct.density import ASH_SHARE, ASH_SHARE_SD, DENSITY_LAWS, DensityLaw, line_law
 from meshes.images.frame import Image
 
@@ -199,8 +199,8 @@ def density_law(text: str, image: Image) -> DensityLaw:
     if kind.lower() != "line" or len(parts) > 3 or not math.isfinite(slope):
         raise InputError(
             "density",
-            f"be internal, {', '.join(DENSITY_LAWS)}, or line:SLOPE,OFFSET in kg/m3 of apparent "
-            "density (line:SLOPE,OFFSET,K2HPO4 or ,HA of a phantom)",
+            f"be internal, {', '.join(DENSITY_LAWS)}, line:SLOPE,OFFSET (apparent density in "
+            "kg/m3), or line:SLOPE,OFFSET,K2HPO4 or line:SLOPE,OFFSET,HA (density of a phantom)",
             f"{text!r}",
             "use internal, or line:1.17,-15",
         )
@@ -232,8 +232,8 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
     if len(tissues) < 2 or not {"adipose", "muscle"}.intersection(tissues):
         raise InputError(
             "an internal calibration",
-            "find fat or muscle and a second tissue",
-            f"{', '.join(tissues) or 'none'} in {source}",
+            "find two tissues, one of them fat or muscle",
+            f"{listed(tissues) or 'none'} in {source}",
             "keep the soft tissue in the image, or give a phantom's line as line:SLOPE,OFFSET",
         )
     means = np.array([regions[tissue].mean_HU for tissue in tissues])
@@ -254,11 +254,11 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
     found = least_squares(misfit, np.zeros(4 + len(tissues)), bounds=bounds)
     squared = 2.0 * float(found.cost)
     if squared > _WORST_FIT * len(tissues):
-        seen = ", ".join(f"{tissue} {regions[tissue].mean_HU:.0f}" for tissue in tissues)
+        seen = listed(f"{tissue} {regions[tissue].mean_HU:.0f}" for tissue in tissues)
         raise InputError(
             "grey values",
             "be Hounsfield units for an internal calibration",
-            f"{seen} in {source}, which fit no energy",
+            f"{seen} in {source}, which fit no X-ray energy",
             "give a phantom's line as line:SLOPE,OFFSET",
         )
     covariance = np.linalg.inv(found.jac.T @ found.jac) * max(

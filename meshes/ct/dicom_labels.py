@@ -91,7 +91,7 @@ def dicom_masks(path: Path, image: Image | None) -> Masks | None:
         raise InputError(
             "labels",
             "be one DICOM object",
-            f"{len(found)} in {path.name}",
+            f"{len(found)} objects in {path.name}",
             "give the file of one segmentation or structure set",
         )
     if not found:
@@ -115,7 +115,7 @@ def _segmentation(file: Path, dataset: Any, source: str) -> Masks:
         raise InputError(
             "a DICOM segmentation",
             "have its frames in one evenly spaced stack",
-            f"other frames in {source}",
+            f"frames in other positions in {source}",
             "export it again, or as .seg.nrrd",
         )
     first = frames[int(np.argmin(planes))]
@@ -125,7 +125,7 @@ def _segmentation(file: Path, dataset: Any, source: str) -> Masks:
     directions = np.column_stack([*first.axes, step / spacing])
     notes = []
     if dataset.get("SegmentationType") == "FRACTIONAL":
-        notes.append(f"{source} holds fractions: half of a voxel or more counts.")
+        notes.append(f"{source} has fractions: voxels of at least one half are used.")
     across, down = first.pixel_mm.tolist()
     grid = StoredImage(
         np.zeros(shape, dtype=np.uint16),
@@ -230,16 +230,16 @@ def _structure_set(dataset: Any, source: str, image: Image | None) -> Masks:
     if image is None:
         raise InputError(
             "labels",
-            "hold voxels",
-            f"the outlines of {source}, a structure set",
+            "consist of voxels",
+            f"the outlines in the structure set {source}",
             "also give the CT image on which the outlines were drawn",
         )
     names, polygons = _structures(dataset)
     if any(np.ptp(each[:, 2]) > _FLAT_MM for held in polygons.values() for each in held):
         raise InputError(
             "outlines",
-            "lie in planes across the patient's long axis",
-            f"other planes in {source}",
+            "lie in planes perpendicular to the patient's long axis",
+            f"outlines in other planes in {source}",
             "export them as a segmentation (SEG or .seg.nrrd)",
         )
     segments = [

@@ -164,9 +164,9 @@ def cropped(image: Image, box_mm: Box, *, stated_in: str = "LPS") -> Image:
             remedy = f"give --coordinates {system} if the corners are in {system}, or {remedy}"
         raise InputError(
             "crop",
-            "leave two voxels or more along each axis",
+            "leave at least two voxels along each axis",
             (
-                f"{box_mm[0]} to {box_mm[1]} mm where {image.source} reaches from "
+                f"{box_mm[0]} to {box_mm[1]} mm, but {image.source} extends from "
                 f"{np.round(low, 1).tolist()} to {np.round(high, 1).tolist()} mm (LPS)"
             ),
             remedy,
@@ -236,7 +236,7 @@ def _bone_of_field(
     if other >= 0.1:
         notes.append(
             f"Only the largest piece is used. The second largest has {other:.0%} of its size: crop "
-            "the image to the bone that is meant."
+            "the image to the bone that you want."
         )
     if cuts:
         notes.append(
@@ -268,7 +268,10 @@ def largest_component(mask: Flags, source: str) -> tuple[Flags, float]:
     pieces, count = label(mask)
     if count == 0:
         raise InputError(
-            "threshold", "leave bone", f"none in {source}", "use a lower threshold, or another crop"
+            "threshold",
+            "leave bone",
+            f"no voxel above it in {source}",
+            "use a lower threshold or another crop",
         )
     sizes = np.bincount(pieces.ravel())[1:]
     largest = int(np.argmax(sizes))
@@ -328,8 +331,8 @@ def kept_label(image: Image, mask: Flags, name: str) -> tuple[tuple[Array, Ints]
     if not mask.any():
         raise InputError(
             "keep_clear",
-            "be a label within the image and its crop",
-            f"{name}, which is not",
+            "be a label in the cropped image",
+            f"{name}, which has no voxels there",
             "widen the crop, or leave this label out",
         )
     box = box_of(mask, KEPT_MARGIN)

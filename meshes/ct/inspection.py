@@ -338,8 +338,8 @@ def bone_label_note(image: Image, mask: Flags, name: str) -> str:
     bone = image.values > LOWEST_HU
     share = float(bone[mask].mean())
     found = (
-        f"{share:.0%} of its voxels above {LOWEST_HU:g} HU in {image.source}, median "
-        f"{np.median(image.values[mask]):.0f} HU"
+        f"{share:.0%} of its voxels above {LOWEST_HU:g} HU in {image.source} and a "
+        f"median of {np.median(image.values[mask]):.0f} HU"
     )
     if share < _LITTLE_BONE:
         flipped = [float(bone[np.flip(mask, axis)].mean()) for axis in range(3)]
@@ -351,7 +351,7 @@ def bone_label_note(image: Image, mask: Flags, name: str) -> str:
     if share < _NO_BONE:
         raise InputError("region", "be a label on bone", f"{name} with {found}", _CAUSES)
     if share < _LITTLE_BONE:
-        return f"warning: most of {name} is not bone, {found}. If that is not marrow, {_CAUSES}."
+        return f"warning: most of {name} is not bone: {found}. If it is not marrow, {_CAUSES}."
     return ""
 
 
@@ -366,4 +366,7 @@ def soft_label_note(image: Image, mask: Flags, name: str) -> str:
     middle = float(np.median(image.values[mask]))
     if low <= middle <= high:
         return ""
-    return f"warning: {name} does not lie on soft tissue, its median is {middle:.0f} HU: {_CAUSES}."
+    return (
+        f"warning: {name} does not lie on soft tissue, because its median is {middle:.0f} HU. "
+        f"{_CAUSES[0].upper()}{_CAUSES[1:]}."
+    )

@@ -9,7 +9,7 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
-from meshes.base.errors import InputError, require_file
+from meshes.base.errors import InputError, listed, require_file
 from meshes.base.text_tables import read_toml
 from meshes.images.data import first_bytes
 from meshes.images.text_headers import header_lines
@@ -95,14 +95,17 @@ def given_names(names: str | Path) -> Mapping[int, str]:
             "names",
             f"be one of {', '.join(label_sets())} or a TOML file",
             names,
-            "write [labels] with a line such as cortical = 1",
+            "write a TOML file with a table [labels] and lines such as cortical = 1",
         )
     require_file(file, "names of labels")
     try:
         table = read_toml(file.read_text("utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as problem:
         raise InputError(
-            "names", "be readable TOML", f"{file.name} which is not", str(problem)
+            "names",
+            "be a readable TOML file",
+            f"{file.name} with the error {str(problem)!r}",
+            "correct the file",
         ) from problem
     labels = table.get("labels")
     if not isinstance(labels, dict):
@@ -110,11 +113,14 @@ def given_names(names: str | Path) -> Mapping[int, str]:
     numbers = list(labels.values())
     whole = all(type(number) is int and 1 <= number <= MOST_LABELS for number in numbers)
     if set(table) != {"labels"} or not whole or not 0 < len(numbers) == len(set(numbers)):
+        found = listed(numbers) or "no labels"
+        if len(table) > 1:
+            found = f"the keys {listed(table)}"
         raise InputError(
             "names",
-            f"be in one table [labels], each with a number of its own from 1 to {MOST_LABELS}",
-            f"{numbers or ', '.join(table) or 'nothing'} in {file.name}",
-            "write [labels] with a line such as cortical = 1",
+            f"be one table [labels] with a different number from 1 to {MOST_LABELS} for each name",
+            f"{found} in {file.name}",
+            "write [labels] and a line such as cortical = 1",
         )
     return {number: name for name, number in labels.items()}
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Flags, Numbers
-from meshes.base.errors import InputError, by, is_folder
+from meshes.base.errors import InputError, by, is_folder, listed
 from meshes.ct.dicom_labels import Masks, dicom_masks
 from meshes.ct.label_names import (
     MOST_LABELS,
@@ -88,7 +88,7 @@ class Labels:
             # the file states no names
             if all(each == unnamed(number) for number, each in self.names.items()):
                 remedy += ", or name the labels by --label-names"
-            raise InputError("label", f"be one that {self.image.source} holds", name, remedy)
+            raise InputError("label", f"be a label of {self.image.source}", name, remedy)
         return found[0]
 
     def mask(self, name: str) -> Flags:
@@ -162,9 +162,9 @@ def read_labels(
         if names is not None:
             raise InputError(
                 "names",
-                "be left out for a folder of masks, whose files name them",
+                "be left out for a folder of masks, because the file names are the names",
                 names,
-                "leave names out",
+                "rename the files instead",
             )
         return _of_masks(path)
     labels = _of_volume(path, spacing_mm, image)
@@ -174,8 +174,8 @@ def read_labels(
             raise InputError(
                 "names",
                 f"name every label of {path.name}",
-                f"none for {by(unknown[:5])}",
-                f"add them to {names}",
+                f"no name for {listed(unknown[:5])}",
+                f"add the missing names to {names}",
             )
         labels = replace(labels, names={number: stated[number] for number in labels.names})
     notes = (*labels.image.notes, *shared_names(labels.names, labels.image.source))
@@ -191,7 +191,10 @@ def _of_volume(path: Path, spacing_mm: Spacing | None, image: Image | None) -> L
     held = [int(number) for number in np.unique(values) if number]
     if not held:
         raise InputError(
-            "labels", "mark something", f"0 everywhere in {path.name}", "export the segmentation"
+            "labels",
+            "mark at least one voxel",
+            f"0 everywhere in {path.name}",
+            "export the segmentation",
         )
     placed = replace(stored, values=values, notes=(*stored.notes, *notes))
     stated = {**stored.names, **header_names(path)}
@@ -238,8 +241,8 @@ def _overlaid(found: Masks, source: str, lattice: Image | None = None) -> Labels
             if after > np.iinfo(np.uint16).max:
                 raise InputError(
                     "labels",
-                    "have fewer combinations of overlapping segments",
-                    "too many for the type of label numbers",
+                    f"have at most {np.iinfo(np.uint16).max} combinations of overlapping segments",
+                    "more",
                     "give fewer segments",
                 )
             labels_of[after] = labels
@@ -250,7 +253,7 @@ def _overlaid(found: Masks, source: str, lattice: Image | None = None) -> Labels
     kept = [each for each in found.segments if each.number in held_labels]
     if not kept:
         raise InputError(
-            "labels", "mark something", f"nothing in {source}", "export the segmentation"
+            "labels", "mark at least one voxel", f"none in {source}", "export the segmentation"
         )
     names = apart(kept)
     overlaps = {number: labels for number, labels in marked.items() if len(labels) > 1}
@@ -292,7 +295,7 @@ def on_grid_of(labels: Labels, image: Image) -> Labels:
     if one.values.any() and not values.any():
         raise InputError(
             "labels",
-            "lie in the region of the image",
+            "overlap the image",
             f"{one.source} outside {other.source}",
             "give the labels of this image",
         )
@@ -325,7 +328,7 @@ def _of_masks(folder: Path) -> Labels:
         raise InputError(
             "labels",
             "be a file or a folder of masks",
-            f"{folder.name} without .nii.gz or .nrrd files",
+            f"the folder {folder.name} without .nii.gz or .nrrd files",
             "give the folder that TotalSegmentator wrote",
         )
     first = read_image(masks[0], labels=True)
@@ -348,9 +351,9 @@ def _mask(file: Path, first: Image) -> Flags:
     ):
         raise InputError(
             "masks",
-            "lie on one grid",
-            f"another grid in {file.name} of {file.parent.name}",
-            "export them together",
+            "all have the same voxel grid",
+            f"a different grid in {file.name} of {file.parent.name}",
+            "export all masks together",
         )
     return image.values > 0
 
@@ -367,8 +370,8 @@ def _whole(values: Numbers, source: str) -> tuple[NDArray[np.integer], list[str]
     if not is_whole or len(np.unique(whole)) > _MOST_DIFFERENT:
         raise InputError(
             "labels",
-            f"be whole numbers from 0 to {MOST_LABELS}, of at most {_MOST_DIFFERENT} kinds",
-            f"{low:g} to {high:g} in {source}",
+            f"be at most {_MOST_DIFFERENT} different whole numbers from 0 to {MOST_LABELS}",
+            f"{len(np.unique(values))} different values from {low:g} to {high:g} in {source}",
             "give the segmentation, not the image or a map of probabilities",
         )
     notes = [f"The labels of {source} are up to {away:.2g} off whole numbers: they are rounded."]

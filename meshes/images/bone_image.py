@@ -111,7 +111,7 @@ def _no_bone(threshold: float, values: Numbers, source: str) -> InputError:
     return InputError(
         "anatomy.threshold",
         "leave bone",
-        f"{threshold:g} where {source} holds {values.min():g} to {values.max():g}",
+        f"{threshold:g}, but the values of {source} are {values.min():g} to {values.max():g}",
         "use a threshold between these two values",
     )
 
@@ -126,7 +126,7 @@ def _require_size(
         raise InputError(
             "resample_mm",
             f"leave at most {_MOST_VOXELS:.0e} voxels",
-            f"{to_mm:g} which makes {count:.2g}",
+            f"{to_mm:g}, which makes {count:.2g} voxels",
             f"crop the image, or use {fitting:.2g} or more",
         )
 
@@ -170,7 +170,7 @@ def _averaged(values: Singles, axis: int, ratio: float) -> Singles:
         raise InputError(
             "resample_mm",
             "leave at least one voxel along every axis",
-            f"a voxel as long as {ratio:g} of the {count} voxels of the image",
+            f"a length of {ratio:g} image voxels along an axis with {count}",
             "use a smaller resample_mm",
         )
     before = [(1, 0) if k == axis else (0, 0) for k in range(3)]

@@ -131,10 +131,10 @@ def _plain(path: Path, start: int, compressed: bool) -> Iterator[bytes]:
 
 
 def _damaged(path: Path) -> InputError:
-    found = f"{path.name} whose compressed data are damaged or cut off"
-    return InputError("file", "be whole", found, "export it again")
+    found = f"{path.name}, whose compressed data are damaged or cut off"
+    return InputError("file", "be complete", found, "export it again")
 
 
 def _sizes_differ(path: Path, needed: int, found: str) -> InputError:
-    requirement = f"hold the {needed} bytes of voxels its header states"
-    return InputError("file", requirement, f"{found} in {path.name}", "export it again")
+    requirement = f"contain the {needed} bytes of voxels that its header states"
+    return InputError("file", requirement, f"{found} bytes in {path.name}", "export it again")

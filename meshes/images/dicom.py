@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from meshes.base.arrays import Numbers
-from meshes.base.errors import InputError, by
+from meshes.base.errors import InputError, by, counted, listed
 from meshes.base.file_limits import require_memory
 from meshes.images.dicom_files import (
     Frame,
@@ -68,7 +68,7 @@ def read_dicom(path: Path, *, series: int | None = None) -> StoredImage:
     kinds = {frame.header["PhotometricInterpretation"] for frame in frames}
     if len(kinds) > 1:
         raise refused(
-            "slices", "all have one photometric interpretation", f"two different ones in {source}"
+            "slices", "all have the same photometric interpretation", f"different ones in {source}"
         )
     bits = max(int(frame.header["BitsAllocated"] or 0) for frame in frames)
     require_memory(
@@ -114,7 +114,7 @@ def _require_grey(frame: Frame) -> None:
     if kind not in _GREY or frame.header["SamplesPerPixel"] != 1:
         raise InputError(
             "a DICOM slice",
-            "hold grey values (MONOCHROME2 or MONOCHROME1)",
+            "contain grey values (MONOCHROME2 or MONOCHROME1)",
             f"other values in {frame.place}",
             "leave this slice out, or export grey values",
         )
@@ -131,17 +131,21 @@ def _of_one_series(
     """
     names = [(str(frame.header["SeriesInstanceUID"]), _series_number(frame)) for frame in frames]
     counts = Counter(names)
-    listed = ", ".join(f"number {name} of {n} slices" for (_, name), n in sorted(counts.items()))
+    held = listed(
+        f"number {name} with {counted(n, 'slice')}" for (_, name), n in sorted(counts.items())
+    )
     stacks = {name for name, count in counts.items() if count > 1} or set(names)
     wanted = stacks if series is None else {name for name in counts if name[1] == str(series)}
     if not wanted:
-        raise InputError("series", f"be one that {source} holds", series, f"use {listed}")
+        raise InputError(
+            "series", f"be the number of a series in {source}", series, f"choose from {held}"
+        )
     if len(wanted) > 1:
         raise InputError(
             "a DICOM folder",
-            "hold one series",
-            f"{len(counts)} in {source} ({listed})",
-            "choose one by `tissue import --series NUMBER`"
+            "contain one series",
+            f"{len(counts)} in {source}: {held}",
+            "choose one with `tissue import --series NUMBER`"
             if len({number for _, number in wanted}) > 1
             else "give the folder or the file of one series",
         )

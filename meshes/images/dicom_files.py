@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, counted, is_folder
+from meshes.base.errors import InputError, counted, is_folder, listed
 from meshes.base.file_limits import memory_limit_bytes, require_memory
 
 Header = Mapping[str, Any]
@@ -133,7 +133,7 @@ class Frame:
             found = np.empty(0)
         if found.shape != (count,) or not np.isfinite(found).all():
             noun = "number" if count == 1 else "numbers"
-            got = f"missing or other values in {self.place}"
+            got = f"missing or invalid values in {self.place}"
             raise refused(key, f"be {count} finite {noun}", got)
         return found
 
@@ -196,7 +196,7 @@ def refused(what: str, requirement: str, found: str) -> InputError:
 
 def damaged(place: str) -> InputError:
     """Return the error for a file that cannot be decoded."""
-    return refused("a DICOM slice", "be whole and readable", f"a damaged slice, {place}")
+    return refused("a DICOM slice", "be complete and readable", f"a damaged slice: {place}")
 
 
 @contextmanager
@@ -249,16 +249,16 @@ def dicom_files(path: Path) -> tuple[list[tuple[Path, str]], list[str]]:
         if file not in found and (file.parent, file.suffix.lower()) in named:
             raise InputError(
                 "a DICOM folder",
-                "hold DICOM files only",
-                f"another kind of content in {place}",
+                "contain only DICOM files",
+                f"other data in {place}",
                 "move this file out of the folder",
             )
     if not found:
         raise InputError(
             "file",
-            "hold images",
-            f"the folder {folder.name} without DICOM files, TIFF or PNG slices",
-            "give the folder that holds the slices",
+            "contain images",
+            f"the folder {folder.name} without DICOM files and without TIFF or PNG slices",
+            "give the folder that contains the slices",
         )
     others = len(files) - len(found)
     notes = [f"Left out {counted(others, 'file')} of {folder.name} of another kind than DICOM."]
@@ -284,7 +284,7 @@ def files_in(folder: Path) -> list[Path]:
         if len(found) > _MOST_FILES:
             raise InputError(
                 "a DICOM folder",
-                f"hold at most {_MOST_FILES} files",
+                f"contain at most {_MOST_FILES} files",
                 f"more files in {folder.name}",
                 "give the folder of one examination",
             )
@@ -326,9 +326,11 @@ def frames_of(files: Sequence[tuple[Path, str]], source: str) -> tuple[list[Fram
     if copies:
         notes.append(f"Left out {counted(copies, 'duplicate')} of slices of {source}.")
     if not frames:
-        held = ", ".join(sorted(set(objects))) or "localisers"
-        remedy = "give SEG and RTSTRUCT as labels, next to the folder of the CT"
-        raise InputError("a DICOM folder", "hold slices", f"only {held} in {source}", remedy)
+        held = listed(sorted(set(objects))) or "localisers"
+        remedy = "give the folder of the CT as the image, and SEG or RTSTRUCT files as labels"
+        raise InputError(
+            "a DICOM folder", "contain slices of an image", f"only {held} in {source}", remedy
+        )
     return list(frames.values()), notes
 
 
@@ -401,8 +403,8 @@ def _require_pixels(dataset: Any, header: Header, frames: int, place: str) -> No
         raise damaged(place)
     # DICOM pads every element to an even number of bytes.
     if not in_parts and found != needed + needed % 2:
-        requirement = f"hold the {needed} bytes of pixels that its header states"
-        raise refused("a DICOM slice", requirement, f"{found} in {place}")
+        requirement = f"contain the {needed} bytes of pixels that its header states"
+        raise refused("a DICOM slice", requirement, f"{found} bytes in {place}")
 
 
 def _require_inflated(file: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, counted
 from meshes.images.dicom_files import Frame, refused
 
 _PARALLEL = 1e-4
@@ -61,7 +61,7 @@ def stacked(slices: Sequence[Frame], source: str) -> tuple[list[Frame], Array, l
     if len(slices) < 2:
         raise InputError(
             "a DICOM folder",
-            "hold two slices or more",
+            "contain at least two slices",
             f"one slice in {source}",
             "give the folder of the series",
         )
@@ -71,8 +71,8 @@ def stacked(slices: Sequence[Frame], source: str) -> tuple[list[Frame], Array, l
         if not fit_together(first, other):
             raise InputError(
                 "slices",
-                "have one size, pixel spacing and orientation",
-                f"another one in {other.place}",
+                "all have the same size, pixel spacing and orientation",
+                f"a different one in {other.place}",
                 "take localisers and reformatted images out of the folder",
             )
     if all(np.array_equal(each.position_mm, first.position_mm) for each in slices):
@@ -87,18 +87,18 @@ def stacked(slices: Sequence[Frame], source: str) -> tuple[list[Frame], Array, l
     if strays > max(_UNEVEN * gap, _ROUNDED * rounding):
         raise InputError(
             "slices",
-            "lie on one line",
-            f"positions that stray {strays:.3g} mm from it in {source}",
-            "export one reconstruction",
+            "lie on a straight line",
+            f"deviations of {strays:.3g} mm in {source}",
+            "export only one reconstruction",
         )
     tilts = [each.number("GantryDetectorTilt", 0.0) for each in slices]
     tilt_deg = max(tilts, key=abs)
     shear_deg = float(np.degrees(np.arctan2(np.linalg.norm(step - gap * normal), gap)))
     if abs(tilt_deg) > _TILT_DEG and abs(abs(tilt_deg) - shear_deg) > _TILT_DEG:
         raise InputError(
-            "positions",
-            "show the tilt of the gantry",
-            f"{tilt_deg:g} degrees stated and {shear_deg:.2g} shown in {source}",
+            "slice positions",
+            f"agree with the gantry tilt of {tilt_deg:g} degrees in the header",
+            f"a tilt of {shear_deg:.2g} degrees in {source}",
             "export the series resampled to straight slices",
         )
     notes = []
@@ -171,9 +171,9 @@ def _require_even(heights: Array, rounding: float, source: str) -> None:
     if usual <= _UNEVEN * max(float(np.median(gaps)), 1e-6):
         raise InputError(
             "slices",
-            "each have a position of their own",
-            f"two slices at one position in {source}",
-            "leave one phase, echo or reconstruction in the folder",
+            "have different positions",
+            f"two slices at the same position in {source}",
+            "keep only one phase, echo or reconstruction in the folder",
         )
     start, step = even_row(heights[:, None], np.arange(len(heights)))
     away = np.abs(heights - start - np.arange(len(heights)) * step).max()
@@ -188,7 +188,10 @@ def _require_even(heights: Array, rounding: float, source: str) -> None:
         raise InputError(
             "slices",
             "follow each other without a gap",
-            f"{widest:.4g} mm where others are {usual:.4g} mm apart in {source}, {missing} missing",
+            (
+                f"a step of {widest:.4g} mm among steps of {usual:.4g} mm in {source} "
+                f"({counted(missing, 'slice')} missing)"
+            ),
             "export the whole series",
         )
     raise InputError(

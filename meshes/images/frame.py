@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Numbers, Singles
-from meshes.base.errors import InputError, by, in_brackets
+from meshes.base.errors import InputError, by, in_brackets, listed
 
 Kind = TypeVar("Kind", bound=np.generic)
 _FARTHEST_VOXELS = 0.01
@@ -198,9 +198,9 @@ def _resampled(stored: StoredImage, source: str, labels: bool, lattice: Image | 
     if math.prod(count.tolist()) > _MOST_VOXELS:
         raise InputError(
             "an image along oblique axes",
-            f"leave at most {_MOST_VOXELS:.0e} voxels once resampled",
-            f"{math.prod(count.tolist()):.2g} in {source}",
-            "crop it, or resample it coarser along the patient's axes",
+            f"have at most {_MOST_VOXELS:.0e} voxels after resampling",
+            f"{math.prod(count.tolist()):.2g} voxels in {source}",
+            "crop it, or resample it to larger voxels along the patient's axes",
         )
     at = inverse * spacing, inverse @ (low - stored.origin_mm), tuple(count.tolist())
     values = (
@@ -296,17 +296,23 @@ def _require_frame(stored: StoredImage, source: str) -> None:
         raise InputError(
             "the origin",
             f"be finite and within {_FARTHEST_ORIGIN_MM:g} mm",
-            f"{in_brackets(stored.origin_mm)} in {source}",
+            f"{in_brackets(stored.origin_mm)} mm in {source}",
             "fix the header",
         )
     lengths = np.linalg.norm(stored.directions, axis=0)
     if not np.allclose(lengths, 1.0, rtol=0.0, atol=_FLATTEST):
         raise InputError(
-            "directions", "be of length 1", f"{by(lengths)} in {source}", "fix the header"
+            "the axis directions",
+            "be of length 1",
+            f"the lengths {listed(f'{each:g}' for each in lengths)} in {source}",
+            "fix the header",
         )
     if not abs(float(np.linalg.det(stored.directions))) >= _FLATTEST:
         raise InputError(
-            "the axes", "span space", f"directions in one plane in {source}", "fix the header"
+            "the axes",
+            "not lie in one plane",
+            f"three axes in one plane in {source}",
+            "fix the header",
         )
 
 

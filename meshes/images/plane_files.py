@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from meshes.base.errors import InputError, is_folder, require_file
+from meshes.base.errors import InputError, counted, is_folder, require_file
 from meshes.base.text_tables import natural_order
 from meshes.images.dicom_files import is_dicom
 
@@ -48,14 +48,14 @@ def plane_files(path: Path) -> list[Path]:
         if not found:
             raise InputError(
                 "file",
-                "exist",
-                f"{path}, which matches nothing",
+                "match at least one file",
+                f"{path}, which matches none",
                 "check the folder and the pattern",
             )
         other = next((file for file in found if not _kind(file)), None)
         if other is not None:
             raise InputError(
-                "a pattern", "match slices of one kind only", other.name, "write for example *.tif"
+                "a pattern", "match only image slices", other.name, "write for example *.tif"
             )
     elif is_folder(path):
         found = _in_folder(path)
@@ -125,16 +125,16 @@ def _require_numbered(files: Sequence[Path], path: Path) -> None:
     if not steps.all():
         raise InputError(
             "slices",
-            "have numbers that differ",
+            "have different numbers",
             f"the number of {files[int(np.argmin(steps)) + 1].name} twice in {path.name}",
             "remove one of the two slices",
         )
     wide = int(np.argmax(steps))
     if steps[wide] > steps.min():
-        missing = int(steps.sum() // steps.min()) - len(steps)
+        missing = counted(int(steps.sum() // steps.min()) - len(steps), "slice")
         raise InputError(
             "slice numbers",
-            "follow each other",
+            "be consecutive",
             f"{files[wide + 1].name} after {files[wide].name} in {path.name}, {missing} missing",
             "export the whole stack",
         )

@@ -133,7 +133,7 @@ def _require_alike(files: Sequence[Path], planes: Sequence[_Planes]) -> None:
             raise InputError(
                 "slices",
                 "all have the same size",
-                f"{by(other.shape[2:0:-1])} in {file.name} after {by(first.shape[2:0:-1])}",
+                f"{by(other.shape[2:0:-1])} pixels in {file.name} after {by(first.shape[2:0:-1])}",
                 "keep other images out of the folder",
             )
         kinds = {(each.photometric, each.shape[3], each.dtype) for each in (other, first)}
@@ -164,8 +164,8 @@ def _without_colour(
     if not labels:
         grey = (values @ np.array(_GREY, dtype=np.float32)).round().astype(values.dtype)
         note = (
-            f"{where} holds colours: grey values are their brightness. If the colours are labels, "
-            "give it as labels."
+            f"{where} has colours: the brightness is used as the grey value. If the colours are "
+            "labels, give the file as labels."
         )
         return grey, {}, note
     shifts = np.array([1 << 2 * 8 * values.itemsize, 1 << 8 * values.itemsize, 1], dtype=np.uint64)
@@ -188,7 +188,7 @@ def _without_colour(
         number: "colour_" + "_".join(map(str, colour))
         for number, colour in enumerate(colours, start=1)
     }
-    note = f"Each colour of {where} is a label; black is none."
+    note = f"Each colour of {where} is a label. Black is the background."
     return numbers[codes].reshape(values.shape[:-1]), names, note
 
 
@@ -212,7 +212,10 @@ def _picture_planes(file: Path) -> _Planes:
         kind, samples = _MODES.get(picture.mode, ("", 0))
         if not samples:
             raise InputError(
-                "a slice", "hold grey values or colours", f"{picture.mode} in {file.name}", _EXPORT
+                "a slice",
+                "contain grey values or colours",
+                f"the mode {picture.mode} in {file.name}",
+                _EXPORT,
             )
         shape = (1, picture.height, picture.width, samples)
         photometric = _PALETTE if picture.mode == "P" else 1
@@ -246,14 +249,14 @@ def _tiff_planes(file: Path) -> _Planes:
     if channels > 1 or samples > 4:
         raise InputError(
             "a TIFF slice",
-            "hold one grey value or colour per pixel",
+            "contain one grey value or colour per pixel",
             f"{max(channels, samples)} channels in {file.name}",
             "export one channel",
         )
     if photometric > _PALETTE or len(further) > reduced:
         raise InputError(
             "a TIFF slice",
-            "hold only one grey-value image",
+            "contain only one grey-value image",
             f"other content in {file.name}",
             _EXPORT,
         )
@@ -261,7 +264,7 @@ def _tiff_planes(file: Path) -> _Planes:
     if len(stacked) > 1:
         raise InputError(
             "a TIFF file",
-            "hold one stack",
+            "contain one stack",
             f"{by(stacked)} planes in {file.name}",
             "export one stack",
         )
@@ -313,7 +316,7 @@ def _inverted(values: Numbers, bits: int, source: str) -> Numbers:
     if values.dtype.kind != "u":
         raise InputError(
             "inverted grey values (MinIsWhite)",
-            "be whole numbers without a sign",
+            "be unsigned whole numbers",
             f"{values.dtype} in {source}",
             "export the slices with black as the lowest value",
         )

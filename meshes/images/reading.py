@@ -72,7 +72,7 @@ def read_nifti(path: Path) -> StoredImage:
     sizes = dim[1 : dim[0] + 1]
     # NIfTI has at most seven axes. Time and channels come after the three spatial axes.
     if not 3 <= dim[0] <= 7 or min(sizes) < 1 or any(n != 1 for n in sizes[3:]):
-        raise _fault(path, "dim", "count three axes, with no zero and no further axis", by(sizes))
+        raise _fault(path, "dim", "be the sizes of exactly three axes, all above 0", by(sizes))
     dtype = _dtype(header, path)
     offset = float(header["vox_offset"])
     # The header is followed by four bytes that state whether there are extensions.
@@ -125,7 +125,7 @@ def _header(path: Path) -> Header:
     raise InputError(
         "file",
         "be a NIfTI image",
-        f"{path.name}, which does not begin like one",
+        f"{path.name}, which does not begin with a NIfTI header",
         "export it again",
     )
 
@@ -142,7 +142,7 @@ def _dtype(header: Header, path: Path) -> np.dtype[np.number]:
     try:
         dtype: np.dtype[np.number] = np.dtype(header.get_data_dtype())
     except (HeaderDataError, KeyError) as problem:
-        raise _fault(path, "datatype", "be known", int(header["datatype"])) from problem
+        raise _fault(path, "datatype", "be a NIfTI code", int(header["datatype"])) from problem
     # Complex numbers and colours are not grey values. The layout of float128 depends on the
     # machine.
     if dtype.kind not in "iuf" or not 0 < dtype.itemsize <= 8:
@@ -171,17 +171,17 @@ def _affine(header: Header, path: Path, notes: list[str]) -> Array:
         if qform is not None:
             return qform
         notes.append(
-            f"{path.name} states no place or directions: its axes are taken as left, back and head."
+            f"{path.name} has no axis directions: its axes are taken as left, back and head."
         )
         return np.diag([*(spacing * _TO_LPS), 1.0])
     sform: Array = np.asarray(header.get_sform(), dtype=np.float64)
     if not np.isfinite(sform).all():
-        raise _fault(path, "sform", "be finite", "other numbers")
+        raise _fault(path, "sform", "be finite", "numbers that are not finite")
     stated = np.linalg.norm(sform[:3, :3], axis=0)
     if not np.allclose(stated, spacing, rtol=_AGREE, atol=0.0):
         notes.append(
             f"{path.name} states voxels of {by(spacing, '.4g')} in pixdim and of "
-            f"{by(stated, '.4g')} in the sform: the sform is taken."
+            f"{by(stated, '.4g')} in the sform: the sform is used."
         )
     if qform is not None:
         corner = np.array([*(int(n) for n in header["dim"][1:4]), 0.0])
@@ -189,7 +189,7 @@ def _affine(header: Header, path: Path, notes: list[str]) -> Array:
         # Rounding errors of the quaternion move voxels by far less than half a voxel.
         if apart > 0.5 * stated.min():
             notes.append(
-                f"The sform and the qform of {path.name} place it differently: the sform is taken."
+                f"The sform and the qform of {path.name} place it differently: the sform is used."
             )
     return sform
 
@@ -229,8 +229,8 @@ def vtk_voxels(file: Path) -> Answer:
     if not isinstance(data, pyvista.ImageData) or not data.array_names:
         raise InputError(
             "file",
-            "hold an image volume",
-            f"{type(data).__name__} without voxels in {file.name}",
+            "contain an image volume",
+            f"a VTK dataset ({type(data).__name__}) without voxels in {file.name}",
             "export it again",
         )
     name = data.active_scalars_name or data.array_names[0]
@@ -240,7 +240,7 @@ def vtk_voxels(file: Path) -> Answer:
     if values.ndim != 1 or 0 in shape or values.size != int(np.prod(shape)):
         raise InputError(
             "file",
-            "hold one number per voxel",
+            "contain one number per voxel",
             f"an array of shape {values.shape} in {file.name}",
             "export grey values",
         )
@@ -315,7 +315,7 @@ def read_image(
     if stored.values.ndim != 3:
         raise InputError(
             "file",
-            "hold one number per voxel",
+            "contain one number per voxel",
             f"an array of shape {stored.values.shape} in {path.name}",
             _REMEDY,
         )
@@ -339,8 +339,8 @@ def stored_image(
     if planes and given is None:
         raise InputError(
             "anatomy.spacing_mm",
-            "be given for slices, whose files do not hold it",
-            f"none for {source}",
+            f"be given for the slices {source}, because their files do not state it",
+            "none",
             "use the scanner's value, for example 0.0195",
         )
     stored = (
@@ -364,7 +364,7 @@ def stored_image(
     if values.size == 0 or not np.issubdtype(values.dtype, np.number):
         raise InputError(
             "file",
-            "hold one number per voxel",
+            "contain one number per voxel",
             f"an array of shape {values.shape} in {source}",
             _REMEDY,
         )
@@ -421,9 +421,9 @@ def _stored(path: Path, series: int | None) -> StoredImage:
     if series is not None:
         raise InputError(
             "series",
-            "be left out for a file",
-            f"{series} for {path.name}",
-            "leave series out: this file holds one image",
+            f"be left out for {path.name}, because a file contains only one image",
+            series,
+            "leave series out, or give a DICOM folder",
         )
     require_image_name(path)
     return next(read for suffix, read in _READERS.items() if path.name.lower().endswith(suffix))(

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from meshes.base.arrays import Array, Numbers
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, listed
 from meshes.base.text_tables import number_in
 from meshes.images.data import read_voxels, scaled
 from meshes.images.frame import StoredImage
@@ -107,7 +107,7 @@ def _stated(
     if found is None:
         return absent
     if len(found) != absent.size:
-        raise _fault(path, key, f"be {absent.size} numbers", str(len(found)))
+        raise _fault(path, key, f"be {absent.size} numbers", f"{len(found)} numbers")
     return np.reshape(found, absent.shape)
 
 
@@ -145,9 +145,9 @@ def _data_file(path: Path, name: str, start: int) -> tuple[Path, int]:
     if not data.is_file():
         raise InputError(
             f"the voxels of {path.name}",
-            "lie in one file next to it",
-            f"{name[:60]}, which is not there",
-            "copy the file of voxels there",
+            "be in one file next to the header",
+            f"{name[:60]}, which does not exist",
+            "copy the file with the voxels into this folder",
         )
     return data, 0
 
@@ -196,13 +196,11 @@ def read_metaimage(path: Path) -> StoredImage:
     """
     fields, start = header_lines(path, "=", "elementdatafile")
     if "ndims" not in fields or "elementdatafile" not in fields:
-        raise _fault(
-            path, "file", "be a MetaImage", "a file without the lines of a MetaImage header"
-        )
+        raise _fault(path, "file", "be a MetaImage", "no MetaImage header")
     channels = fields.get("elementnumberofchannels", "1")
     if fields["ndims"] != "3" or channels != "1":
         found = f"NDims {fields['ndims']} and {channels} channels"
-        raise _fault(path, "file", "hold one number per voxel on three axes", found)
+        raise _fault(path, "file", "contain one number per voxel on three axes", found)
     values = _meta_voxels(fields, path, start)
     notes = []
     if not any(key in fields for key in _DIRECTIONS):
@@ -232,7 +230,9 @@ def _meta_voxels(fields: Fields, path: Path, start: int) -> Numbers:
     kind = _code(fields.get("elementtype", "").removeprefix("MET_"))
     if len(size) != 3 or any(n < 1 or n != int(n) for n in size) or kind is None:
         found = f"{fields.get('dimsize')} and {fields.get('elementtype')}"
-        raise _fault(path, "DimSize", "be three counts and ElementType one real number", found)
+        raise _fault(
+            path, "DimSize", "be three positive whole numbers and ElementType a real number", found
+        )
     skip = int((numbers(fields, "headersize", path) or [0])[0])
     if skip < -1:
         raise _fault(path, "HeaderSize", "be -1 or more", str(skip))
@@ -278,15 +278,15 @@ def read_nrrd(path: Path) -> StoredImage:
     """
     fields, start = header_lines(path, ":", "")
     if not fields.get("first", "").startswith("NRRD"):
-        raise _fault(path, "file", "be a NRRD image", "a file that does not begin like one")
+        raise _fault(path, "file", "be a NRRD image", "no NRRD header")
     layers, fields = _without_layers(fields)
     kinds = fields.get("kinds", "").lower()
     if fields.get("dimension") != "3" or any(kind not in _IN_SPACE for kind in kinds.split()):
         found = f"dimension {fields.get('dimension')!r} and kinds {_short(kinds)!r}"
-        raise _fault(path, "file", "hold one number per voxel on three axes in space", found)
+        raise _fault(path, "file", "contain one number per voxel on three axes in space", found)
     # These keys state the scale of quantised values, which is not applied here.
-    if found := ", ".join(key for key in _SCALED if key in fields):
-        raise _fault(path, "a NRRD image", "hold unscaled values", f"the key {found}")
+    if found := listed(key for key in _SCALED if key in fields):
+        raise _fault(path, "a NRRD image", "contain unscaled values", f"the key {found}")
     # Lines are not skipped here, so the voxels would be read from a wrong position.
     for key in _SKIPPED_LINES:
         if fields.get(key, "0") != "0":
@@ -315,7 +315,7 @@ def read_nrrd(path: Path) -> StoredImage:
     # 1e-5: headers have six digits or more.
     if "spacings" in fields and not np.allclose(lengths, unit * spacings, rtol=1e-5, atol=0.0):
         found = f"{_short(fields['spacings'])} and {_short(fields['space directions'])}"
-        raise _fault(path, "spacings", "be the lengths of space directions", found)
+        raise _fault(path, "spacings", "agree with the lengths of space directions", found)
     x, y, z = lengths.tolist()
     with np.errstate(divide="ignore", invalid="ignore"):
         directions = steps / lengths
@@ -357,7 +357,7 @@ def _nrrd_voxels(fields: Fields, layers: tuple[int, str] | None, path: Path, sta
     kind = _code(fields.get("type", ""))
     if len(size) != 3 or any(n != int(n) for n in size) or kind is None:
         found = f"{fields.get('sizes', 'nothing')} and {fields.get('type', 'nothing')}"
-        raise _fault(path, "sizes", "be three whole numbers and type one real number", found)
+        raise _fault(path, "sizes", "be three whole numbers and type a real number", found)
     encoding = fields.get("encoding", "").lower()
     if encoding not in ("raw", "gzip", "gz"):
         raise _fault(path, "encoding", "be raw or gzip", _short(encoding) or "none")
@@ -375,7 +375,7 @@ def _nrrd_voxels(fields: Fields, layers: tuple[int, str] | None, path: Path, sta
         return _voxels(data, order + kind, size, start, skip=skip, compressed=compressed)
     axis, count = layers
     if not count.isdigit() or not int(count):
-        raise _fault(path, "sizes", "count the layers", _short(count) or "nothing")
+        raise _fault(path, "sizes", "include the number of layers", _short(count) or "nothing")
     size.insert(axis, float(count))
     values = _voxels(data, order + kind, size, start, skip=skip, compressed=compressed)
     return np.moveaxis(values, axis, 0)

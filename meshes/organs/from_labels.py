@@ -288,9 +288,9 @@ def labelled_organ(labels: Labels, organ: str, parts: Sequence[str] = ()) -> Lab
     if twice:
         raise InputError(
             "parts",
-            "name other labels than the organ, each once",
+            "be labels other than the organ, each given once",
             twice[0],
-            "name this label only once",
+            "remove this name or its repetition",
         )
     whole = labels.mask(organ)
     masks = {name: labels.mask(name) for name in parts}
@@ -345,7 +345,7 @@ def _ends(solid: Image) -> list[str]:
                 at = solid.origin_mm[axis] + solid.spacing_mm[axis] * last
                 notes.append(
                     f"It ends flat at {name} = {at:.4g} mm, with "
-                    f"{area_mm2[last] / 100.0:.3g} cm2: the labels may end "
+                    f"an area of {area_mm2[last] / 100.0:.3g} cm2: the labels may end "
                     "there before the organ does."
                 )
     if cut_mm2:
@@ -368,7 +368,7 @@ def _pieces(name: str, mask: Flags, solid: Image, organ: str, notes: dict[str, s
         raise InputError(
             name,
             f"lie in {organ} or touch it",
-            "a label apart from the organ",
+            "a label that does not touch the organ",
             "leave it out, or correct the segmentation",
         )
     pieces, count = label(inside)
@@ -380,7 +380,7 @@ def _pieces(name: str, mask: Flags, solid: Image, organ: str, notes: dict[str, s
         raise InputError(
             name,
             f"have at least {_FEWEST_VOXELS} connected voxels to have a surface",
-            int(sizes[1:].max()),
+            f"{sizes[1:].max()} voxels",
             "leave it out, or segment a finer image",
         )
     remarks = []

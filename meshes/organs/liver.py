@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from meshes.base.errors import InputError, require_length
+from meshes.base.errors import InputError, listed, require_length
 from meshes.shapes.sdf import (
     Shape,
     box,
@@ -154,7 +154,9 @@ def liver_region(mesh: TetMesh, name: str) -> Nodes:
         If the name is unknown.
     """
     if name not in LIVER_REGIONS:
-        raise InputError("region", f"be one of {', '.join(LIVER_REGIONS)}", name, "use below")
+        raise InputError(
+            "region", f"be one of {listed(LIVER_REGIONS, 'or')}", name, "use one of them"
+        )
     direction, within_deg = LIVER_REGIONS[name]
     return nodes_facing(mesh, direction=direction, within_deg=within_deg)
 
@@ -237,7 +239,7 @@ def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) ->
         raise InputError(
             "nodule.radius_m",
             # 2000 converts a radius in m to a diameter in mm
-            f"give a ball of at least {2000.0 * spacing:.4g} mm in diameter, two edges of the mesh",
+            f"give a diameter of at least {2000.0 * spacing:.4g} mm, two edges of the mesh",
             f"{2000.0 * radius:.4g} mm",
             "use a finer mesh",
         )
@@ -246,8 +248,8 @@ def _with_nodule(mesh: TetMesh, nodule: Nodule, shape: Shape, spacing: float) ->
         raise InputError(
             "nodule.centre_m",
             (
-                f"lie at least its radius and the spacing, {1e3 * (radius + spacing):.3g} mm, "
-                "below the surface"
+                f"be at least {1e3 * (radius + spacing):.3g} mm below the surface (its radius "
+                "plus the mesh spacing)"
             ),
             f"{1e3 * deep:.3g} mm",
             "move the centre deeper",

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Ints
-from meshes.base.errors import InputError, require_file, require_positive
+from meshes.base.errors import InputError, listed, require_file, require_positive
 from meshes.base.tables import decoded_text, read_table
 from meshes.base.text_tables import require_distinct_columns
 from meshes.base.units import UNITS, column_of, name_of, unit_of
@@ -210,7 +210,7 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
             "coordinates",
             "be LPS or RAS",
             coordinates,
-            "check in which of the two the file was written",
+            "write LPS or RAS in capital letters, according to the file",
         )
     require_file(file, "a path")
     suffix = file.suffix.lower()
@@ -220,7 +220,7 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
     if suffix not in (*TABLES, *GCODE):
         raise InputError(
             "path",
-            f"be a {', '.join(TABLES)}, .mrk.json, .fcsv or G-code file ({', '.join(GCODE)})",
+            f"be a {', '.join(TABLES)}, .mrk.json or .fcsv file, or G-code ({listed(GCODE, 'or')})",
             file,
             "rename or convert the file",
         )
@@ -264,9 +264,9 @@ def _read_table(file: Path) -> tuple[Array, Array | None, Array | None, tuple[st
     if missing := [each for each in (*_PLACE, *_AXIS[: 3 * has_axes]) if each not in column]:
         raise InputError(
             "path",
-            f"have the columns {', '.join(missing)}",
-            f"{', '.join(table.names[:40])} in {file}",
-            "rename the columns; another unit is written as in x_m or X [in]",
+            f"have the column{'s' * (len(missing) > 1)} {listed(missing)}",
+            f"the columns {listed(table.names[:40])} in {file}",
+            "rename the columns, and write another unit as in x_m or X [in]",
         )
     if left := [each for each in table.names if each not in used]:
         notes.append(f"columns without a use: {', '.join(left[:12])}")
@@ -380,7 +380,9 @@ def to_replay(
     turn = np.arccos(np.clip(np.einsum("ij,ij->i", axes[1:], axes[:-1]), -1.0, 1.0))
     moved = np.concatenate([[True], (length > _SAME_MM) | (turn > _SAME_RAD)])
     if moved.sum() < 2:
-        raise InputError("path", "hold two different points", "only one", "add another point")
+        raise InputError(
+            "path", "have at least two different points", "only one", "add another point"
+        )
     lasting = np.maximum(length / speeds[1:], turn / _TURN_RAD_S)
     times = np.concatenate([[0.0], np.cumsum(lasting)])
     # The shortest rotation that turns z to the axis of the tool.

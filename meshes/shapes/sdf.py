@@ -138,7 +138,7 @@ def box(size_m: Vector, centre_m: Vector = (0.0, 0.0, 0.0), *, rounding_m: float
     if not 0.0 <= rounding_m <= 0.5 * float(size.min()):
         raise InputError(
             "rounding_m",
-            f"be in [0, half the shortest edge {0.5 * float(size.min()):g}]",
+            f"be from 0 to {0.5 * float(size.min()):g}, half the shortest edge",
             rounding_m,
             "use 0 for sharp edges",
         )

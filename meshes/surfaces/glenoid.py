@@ -242,14 +242,14 @@ def _require_fit(width: float, height: float, depth: float, taper: float, radius
             "height_mm",
             f"be at least 1.1 times width_mm ({1e3 * width:g})",
             f"{1e3 * height:g}",
-            "use 37.5 with 27.8",
+            "use 37.5 with width_mm = 27.8",
         )
     # At 0.5, the walls would meet. At least a tenth of the width must stay open.
     if depth * math.tan(taper) > 0.45 * width:
         raise InputError(
             "vault_taper_deg",
             "leave the vault open at its base",
-            f"{math.degrees(taper):g} over {1e3 * depth:g} mm",
+            f"{math.degrees(taper):g} over a depth of {1e3 * depth:g} mm",
             f"use at most {math.degrees(math.atan(0.45 * width / depth)):.1f}",
         )
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, in_brackets, require_vector
+from meshes.base.errors import InputError, in_brackets, listed, require_vector
 from meshes.surfaces.pedicles import VERTEBRA, find_pedicle
 from meshes.surfaces.site import (
     FACE_SAMPLES,
@@ -110,7 +110,7 @@ def find_site(kind: str, surface: Surface) -> FoundSite:
     if kind in VERTEBRA:
         return find_pedicle(surface, kind)
     raise InputError(
-        "site", f"be one of {', '.join(SITE_KINDS)}", kind, "use one of them, or give a point"
+        "site", f"be one of {listed(SITE_KINDS, 'or')}", kind, "use one of them, or give a point"
     )
 
 
@@ -181,7 +181,7 @@ def _search_glenoid(surface: Surface, along: Sequence[float] | None) -> FoundSit
     # Two real glenoids have scores of 0.67 and 1.00. Balls, boxes and shafts are not accepted.
     if score < 0.25 or not plausible:
         raise refusal(
-            surface, "glenoid of about 28 x 37 mm", f"a face of {size} (score {score:.2f}) at best"
+            surface, "glenoid of about 28 x 37 mm", f"a face of {size} at best (score {score:.2f})"
         )
     shape = "flat"
     # A radius above 200 mm counts as flat, because the sagitta over half the face is below 1 mm.
@@ -335,7 +335,7 @@ def _search_head(surface: Surface, kind: _Head) -> FoundSite:
     # of other parts.
     if not caps or scores[0] < 0.2 or max(cap.coverage for cap in caps) > kind.largest_coverage:
         covered = max((cap.coverage for cap in caps), default=0.0)
-        got = f"a part that covers at most {covered:.0%} of a sphere"
+        got = f"at most {covered:.0%} of a sphere"
         what = (
             f"{kind.name}, a rounded part of 18 to 32 mm radius that covers "
             f"{kind.zero_score_coverage:.0%} to {kind.largest_coverage:.0%} of a sphere"
@@ -349,7 +349,7 @@ def _search_head(surface: Surface, kind: _Head) -> FoundSite:
     second = apart[0] if apart and scores[apart[0]] > 0.0 else None
     if second is not None and scores[second] > _ALIKE * scores[0]:
         places = " and ".join(in_brackets(1e3 * cap.centre, ".4g") for cap in (best, caps[second]))
-        raise refusal(surface, f"single {kind.name}", f"two places alike, about {places} mm")
+        raise refusal(surface, f"single {kind.name}", f"two similar places, near {places} mm")
     axis = _neck_axis(samples, best) if kind.neck else best.axis
     note = (
         f"found by search: {kind.name} of radius {1e3 * best.radius:.1f} mm over "

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, as_vector, require_file
+from meshes.base.errors import InputError, as_vector, counted, listed, require_file
 from meshes.base.text_tables import (
     number_or_nan,
     read_json,
@@ -70,12 +70,14 @@ def read_markups(path: str | Path) -> tuple[Markup, ...]:
         if file.suffix.lower() == ".fcsv":
             return (_point_list(text, file),)
         if not file.name.lower().endswith(".json"):
-            raise _error("be a .mrk.json or .fcsv file", "a file of another kind", file)
+            raise _error(
+                "be a .mrk.json or .fcsv file", f"the suffix {file.suffix or 'none'}", file
+            )
         found = tuple(_markup(one, file) for one in read_json(text)["markups"])
     except (UnicodeDecodeError, json.JSONDecodeError, KeyError, TypeError, AttributeError):
-        raise _error("be markups of 3D Slicer", "other data", file) from None
+        raise _error("be a markups file of 3D Slicer", "other data", file) from None
     if not found:
-        raise _error("hold at least one", "none", file)
+        raise _error("contain at least one markup", "none", file)
     return found
 
 
@@ -101,9 +103,9 @@ def read_site(path: str | Path) -> tuple[Array, Array | None]:
         chosen = chosen or [one for one in found if one.kind == kind and len(one.labels)]
     wanted = 2 if chosen and chosen[0].kind == "Line" else 1
     if len(chosen) != 1 or len(chosen[0].points_mm) != wanted:
-        held = ", ".join(f"{one.kind} of {len(one.points_mm)}" for one in chosen) or "none"
-        required = "hold one plane, one line from the site inward, or one point"
-        raise _error(required, held, Path(path))
+        held = listed(f"a {one.kind} with {counted(len(one.points_mm), 'point')}" for one in chosen)
+        required = "contain one plane, one line from the site inward, or one point"
+        raise _error(required, held or "none", Path(path))
     one = chosen[0]
     if one.kind != "Line":
         return one.points_mm[0], one.normal
@@ -131,7 +133,10 @@ def read_curve(path: str | Path) -> Array:
         one for one in found if one.kind == _POINTS
     ]
     if len(curves) != 1 or len(curves[0].points_mm) < 2:
-        raise _error("hold one curve of at least two points", len(curves), Path(path))
+        held = f"{len(curves)} curves"
+        if len(curves) == 1:
+            held = f"a curve with {counted(len(curves[0].points_mm), 'point')}"
+        raise _error("contain one curve with at least two points", held, Path(path))
     points = curves[0].points_mm
     return np.vstack([points, points[:1]]) if curves[0].kind == "ClosedCurve" else points
 
@@ -149,14 +154,16 @@ def _markup(record: dict[str, Any], file: Path) -> Markup:
         label = str(point.get("label") or point.get("id") or number)
         status = point.get("positionStatus", "defined")
         if status != "defined":
-            raise _error("hold placed control points", f"{status} for {label}", file)
+            raise _error(
+                "contain only placed control points", f"the status {status} of {label}", file
+            )
         points.append(frame * _three(point["position"], label, file))
         labels.append(label)
     if kind != "Plane":
         return Markup(kind, np.array(points).reshape(-1, 3), tuple(labels))
     stated = [record[key] for key in ("center", "origin") if record.get(key) is not None]
     if not stated and not points:
-        raise _error("hold planes with an origin", "none", file)
+        raise _error("contain planes with an origin", "a plane without an origin", file)
     centre = frame * _three(stated[0], "its origin", file) if stated else points[0]
     normal = _unit(_normal(record, points, frame, file), file)
     return Markup(kind, centre[None], (labels[0] if labels else "plane",), normal)
@@ -176,7 +183,7 @@ def _normal(record: dict[str, Any], points: list[Array], frame: Array, file: Pat
         return frame * _three(numbers, "the orientation", file)
     if len(points) == 3:
         return np.cross(points[1] - points[0], points[2] - points[0])
-    raise _error("hold planes with a normal", "none", file)
+    raise _error("contain planes with a normal", "a plane without a normal", file)
 
 
 def _point_list(text: str, file: Path) -> Markup:
@@ -204,7 +211,7 @@ def _point_list(text: str, file: Path) -> Markup:
             points.append(frame * _three(numbers, label, file))
             labels.append(label)
     if not points:
-        raise _error("hold at least one point", "none", file)
+        raise _error("contain at least one point", "none", file)
     return Markup(_POINTS, np.array(points), tuple(labels))
 
 
@@ -217,7 +224,7 @@ def _frame(name: object, file: Path) -> Array:
 def _three(value: Any, what: str, file: Path) -> Array:
     numbers = as_vector(value)
     if numbers is None:
-        raise _error("hold three finite numbers", f"{value!r:.80} for {what}", file)
+        raise _error("have three finite coordinates", f"{value!r:.80} for {what}", file)
     return numbers
 
 
@@ -227,7 +234,7 @@ def _unit(direction: Array, file: Path) -> Array:
     # The limit is far below the digits of a file in mm, so it only excludes rounding errors of
     # zero.
     if length < 1e-9:
-        raise _error("hold a normal or line with a length", "a normal or line of length 0", file)
+        raise _error("have normals and lines of non-zero length", "one of length 0", file)
     return direction / length
 
 

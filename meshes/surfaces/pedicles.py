@@ -186,8 +186,8 @@ def _vertebra_frame(surface: Surface, inner: Array, canal: _Hole) -> _Frame:
     # If `frame` is upside down, `rising` is negative.
     if abs(rising) < _RISING:
         got = (
-            f"pedicles {1e3 * abs(rising):.1f} mm off the middle of the body, as where it is cut "
-            "off"
+            f"pedicles {1e3 * abs(rising):.1f} mm off the middle of the body, as in a bone "
+            "that is cut off"
         )
         raise refusal(surface, _WHAT, got)
     return frame if rising > 0.0 else _Frame(frame.axes * (-1.0, 1.0, -1.0), origin)

@@ -137,10 +137,10 @@ def refusal(surface: Surface, what: str, got: str) -> InputError:
     """Return the error for a search that did not find the landmark `what`."""
     return InputError(
         "file",
-        f"show a {what}",
+        f"contain a {what}",
         f"{got} in {surface.report.source}",
-        "check the unit of the file, give a single bone by labels or a crop, or give a centre and "
-        "a normal",
+        "check the unit of the file, extract one bone by labels or a crop, or give a centre and a "
+        "normal",
     )
 
 
@@ -257,7 +257,7 @@ def axes_along(normal: Array, along: Sequence[float]) -> Array:
     if np.linalg.norm(projected) < _LEAST_ACROSS:
         raise InputError(
             "anatomy.along",
-            f"lead across the normal {in_brackets(normal, '.4g')}",
+            f"not be parallel to the normal {in_brackets(normal, '.4g')}",
             in_brackets(direction, ".4g"),
             "give a direction in the plane of the site",
         )
@@ -340,10 +340,10 @@ def _on_surface(surface: Surface, centre: Array, rotation: Array) -> Array:
         raise InputError(
             "anatomy.centre_mm",
             "lie within 10 mm of the surface along the normal",
-            f"{given} in {surface.report.source}",
+            f"{given} mm in {surface.report.source}",
             (
-                "give a point on the face, in mm in the frame of the file; the nearest corner "
-                f"is {corner}"
+                "give a point on the face, in mm in the frame of the file. The nearest vertex "
+                f"is at {corner} mm"
             ),
         )
     return centre + nearest * rotation[:, 2]

@@ -287,7 +287,7 @@ def _closed(
         raise InputError(
             "surface",
             "enclose a solid",
-            f"{edges} in {source}, the largest hole {1e6 * holes.largest_area:.3g} mm2",
+            f"{edges} in {source}, with a largest hole of {1e6 * holes.largest_area:.3g} mm2",
             "close it in a mesh editor",
         )
     if len(faces) > scanned:
@@ -302,7 +302,7 @@ def _closed(
         )
     if holes.large:
         repairs.append(
-            f"The bone is cut off at {counted(holes.large, 'large hole')}, closed by a face each."
+            f"The bone is cut off at {counted(holes.large, 'large hole')}, each closed by a face."
         )
     return (vertices, faces), holes, volume
 
@@ -369,12 +369,12 @@ def _unit(longest: float, scale_mm: float | None, source: str) -> tuple[float, s
     if not plain:
         error = UnitError(
             "anatomy.scale_mm",
-            "be given if the unit is unclear",
             (
-                f"none for {source}, whose longest side of {longest:.3g} fits a bone "
+                f"be given for {source}, because its longest side of {longest:.3g} fits a bone "
                 "neither in millimetres nor in metres"
             ),
-            "; ".join([f"use millimetres per unit, for example {suggestion:g}", *others]),
+            "none",
+            "; ".join([f"use the millimetres per unit, for example {suggestion:g}", *others]),
         )
         error.suggested_mm = suggestion * longest
         raise error

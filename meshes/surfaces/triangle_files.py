@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Ints, Triangles
-from meshes.base.errors import InputError, require_file
+from meshes.base.errors import InputError, counted, listed, require_file
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.tables import decoded_text
 from meshes.base.text_tables import number_in, whole_number_in
@@ -46,9 +46,9 @@ def read_triangles(file: Path, notes: list[str] | None = None) -> Triangles:
     if file.suffix.lower() not in SURFACE_SUFFIXES:
         raise InputError(
             "file",
-            f"end in {', '.join(SURFACE_SUFFIXES)}",
+            f"end in {listed(SURFACE_SUFFIXES, 'or')}",
             file.name,
-            "convert it, or read a volume with read_image",
+            "convert it, or read an image volume with read_image",
         )
     require_file(file, "a surface")
     kind = file.suffix.lower()[1:].upper()
@@ -97,7 +97,7 @@ def _read_ply(file: Path, notes: list[str]) -> _Stored:
     after the triangles. VTK stores coordinates only in single precision.
     """
     if not _is_whole_ply(file):
-        reason = f"{file.name} has another length than its header states."
+        reason = f"{file.name} does not have the length that its header states."
     else:
         try:
             return _ply_by_trimesh(file)
@@ -128,16 +128,18 @@ def require_triangles(vertices: NDArray[np.number], faces: NDArray[np.number], s
     """Raise an error if there are no triangles, or if a triangle refers to a missing vertex."""
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
         got = f"vertices of shape {vertices.shape} and faces of shape {faces.shape} in {source}"
-        raise _refusal("hold triangles in space", got)
+        raise _refusal("contain triangles in space", got)
     count = len(vertices)
     if count == 0 or len(faces) == 0:
-        raise _refusal("hold triangles", f"{count} vertices and {len(faces)} triangles in {source}")
+        raise _refusal(
+            "contain triangles", f"{count} vertices and {len(faces)} triangles in {source}"
+        )
     if faces.min() < 0 or faces.max() >= count:
         face, corner = np.argwhere((faces < 0) | (faces >= count))[0]
         raise InputError(
             "faces",
-            f"name vertices 0 to {count - 1} of the file",
-            f"{faces[face, corner]} in face {face} of {source}, counted from 0",
+            f"refer to the vertices 0 to {count - 1} of the file",
+            f"vertex {faces[face, corner]} in face {face} of {source}, counted from 0",
             "export it again",
         )
 
@@ -156,8 +158,10 @@ def _read_stl(file: Path, notes: list[str]) -> _Stored:
         if is_text and (count == 0 or payload != count * _RECORD.itemsize):
             return _read_text_stl(file)
         if count > whole or not whole:
-            got = f"{count} triangles in its header and {whole} of them in {file.name}"
-            raise _refusal("be a whole STL surface", got)
+            got = f"{file.name} with {whole} of the {count} triangles that its header states"
+            if not whole:
+                got = f"{file.name} without a complete triangle"
+            raise _refusal("be a complete STL file", got)
         # Programs that write the file during a computation may store a count of 0 or an outdated
         # count.
         if count < whole and payload == whole * _RECORD.itemsize:
@@ -180,13 +184,15 @@ def _read_text_stl(file: Path) -> _Stored:
     try:
         corners = np.array([[number_in(each) for each in row] for row in _CORNER.findall(text)])
     except ValueError as problem:
-        raise _refusal("be a readable STL surface", f"{problem} in {file.name}") from None
+        got = f"{file.name} with a vertex that is not a number ({problem})"
+        raise _refusal("be a readable STL file", got) from None
     words = text.lower()
     facets = words.count("endfacet")
     if len(corners) != 3 * facets or "endsolid" not in words:
         end = "an" if "endsolid" in words else "no"
-        got = f"{len(corners)} corners of {facets} triangles and {end} endsolid in {file.name}"
-        raise _refusal("be a whole STL surface", got)
+        counts = f"{counted(len(corners), 'vertex line')}, {counted(facets, 'endfacet line')}"
+        got = f"{file.name} with {counts} and {end} endsolid line"
+        raise _refusal("be a complete STL file", got)
     return corners.reshape(-1, 3), np.arange(len(corners)).reshape(-1, 3)
 
 
@@ -227,10 +233,10 @@ def _read_obj(file: Path, notes: list[str]) -> tuple[Array, Ints]:
             elif keyword == "f":
                 polygons.append(_polygon(rest, len(vertices)))
             elif keyword and not _IGNORED.fullmatch(keyword):
-                raise ValueError("begins with no keyword of the format")
+                raise ValueError("begins with an unknown keyword")
         except ValueError as problem:
             got = f"line {number} of {file.name}, which {problem}"
-            raise _refusal("be a readable OBJ surface", got) from None
+            raise _refusal("be a readable OBJ file", got) from None
     triangles = [(p[0], p[i], p[i + 1]) for p in polygons for i in range(1, len(p) - 1)]
     return np.array(vertices).reshape(-1, 3), np.array(triangles, dtype=np.int64).reshape(-1, 3)
 
@@ -241,7 +247,7 @@ def _vertex(rest: str) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) not in (3, 4, 6, 7):  # with a weight, a colour, or a weight and a colour
-        raise ValueError(f"must hold the three numbers of a vertex, not {rest.strip()[:40]!r}")
+        raise ValueError(f"has {rest.strip()[:40]!r} instead of the three numbers of a vertex")
     return numbers[:3]
 
 
@@ -254,8 +260,8 @@ def _polygon(rest: str, count: int) -> list[int]:
     # OBJ indices start at 1. Negative indices count from the last vertex. Indices have 64 bits.
     if len(numbers) < 3 or 0 in numbers or max(numbers) >= 1 << 63:
         raise ValueError(
-            f"must hold three or more vertex numbers from 1, not {rest.strip()[:40]!r}"
+            f"has {rest.strip()[:40]!r} instead of three or more vertex numbers from 1"
         )
     if min(numbers) < -count:
-        raise ValueError(f"names vertex {min(numbers)} after {count} vertices")
+        raise ValueError(f"refers to vertex {min(numbers)} after only {count} vertices")
     return [each - 1 if each > 0 else count + each for each in numbers]

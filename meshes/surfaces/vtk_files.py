@@ -62,7 +62,7 @@ def read_vtk(file: Path) -> Any:
         raise DamagedFileError(
             next(
                 (line for line in _HEADING.sub("", output).splitlines() if line.strip()),
-                "not whole",
+                "it is incomplete",
             )
         )
     for block in data if isinstance(data, pyvista.MultiBlock) else [data]:
@@ -92,7 +92,7 @@ def check_vtk(folder: Path, arrays_by_file: dict[str, list[str]]) -> Answer:
             raise DamagedFileError(f"{name} is damaged or cut off") from None
         missing = [each for each in wanted if each not in data.cell_data and data.n_cells]
         if missing:
-            raise DamagedFileError(f"{name} lacks {missing[0]} over its cells")
+            raise DamagedFileError(f"{name} has no cell array {missing[0]}")
         if "layer" in wanted and data.n_cells:
             layers = np.asarray(data.cell_data["layer"])
             names = data.field_data.get("layer_names", ())
@@ -136,10 +136,10 @@ def _require_cells(
     points = vtk_to_numpy(cells.GetConnectivityArray()).astype(np.int64)
     sizes = np.diff(offsets)
     if len(offsets) and (offsets[0] != 0 or offsets[-1] != len(points) or (sizes < 0).any()):
-        raise DamagedFileError("cells are not where their offsets point")
+        raise DamagedFileError("its cells do not match their offsets")
     if kinds is not None:
         if len(kinds) != len(sizes):
-            raise DamagedFileError(f"{len(kinds)} types of {len(sizes)} cells")
+            raise DamagedFileError(f"it has {len(kinds)} cell types for {len(sizes)} cells")
         # A cell type is one byte. Types without a fixed number of points, such as polygons, are not
         # checked.
         expected = np.array([_CORNERS.get(kind, -1) for kind in range(256)])[kinds]
@@ -157,7 +157,7 @@ def _require_cells(
         cell = int(np.searchsorted(offsets, wrong[0], side="right")) - 1
         raise InputError(
             "cells",
-            f"name points 0 to {point_count - 1} of the file",
-            f"{points[wrong[0]]} in cell {cell} of {file.name}, counted from 0",
+            f"refer to the points 0 to {point_count - 1} of the file",
+            f"point {points[wrong[0]]} in cell {cell} of {file.name}, counted from 0",
             "export it again",
         )

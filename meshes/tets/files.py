@@ -149,7 +149,7 @@ def _read_stored(file: Path) -> StoredMesh:
         found = StoredMesh(**fields, names=names, notes=tuple(facts["notes"]))
     if len(found.tets) == 0 and len(found.triangles) == 0:
         got = f"none in {file.name}"
-        raise InputError("file", "hold tetrahedra or triangles", got, "mesh the solid first")
+        raise InputError("file", "contain tetrahedra or triangles", got, "mesh the solid first")
     return found
 
 
@@ -186,14 +186,14 @@ def _unit(size: Array, unit_mm: float | None, name: str) -> tuple[float, str]:
                 return scale, f"{name} names no unit and was taken to be in {unit}: {sides} mm."
         raise InputError(
             "anatomy.scale_mm",
-            "be given if the unit is unclear",
             (
-                f"none for {name}, whose box of {by(size, '.3g')} fits an organ neither in "
-                "millimetres nor in metres"
+                f"be given for {name}, because its size of {by(size, '.3g')} fits an organ "
+                "neither in millimetres nor in metres"
             ),
+            "none",
             (
-                f"give millimetres per unit: {_TYPICAL_MM / longest:.2g} would make it "
-                f"{_TYPICAL_MM:g} mm long"
+                f"use the millimetres per unit, for example {_TYPICAL_MM / longest:.2g} for a "
+                f"length of {_TYPICAL_MM:g} mm"
             ),
         )
     scale = require_positive("anatomy.scale_mm", unit_mm, _PER_UNIT)
@@ -252,7 +252,7 @@ def given_tets(
     stored = _stored(mesh)
     if not len(stored.tets):
         raise InputError(
-            "mesh", "hold tetrahedra", "none", "fill a surface with tetrahedra by from_surface"
+            "mesh", "contain tetrahedra", "none", "fill a surface with tetrahedra by from_surface"
         )
     stored.names.update(part_names or {})
     with names_of_caller(dict.fromkeys(("nodes", "nodes_m", "cells"), "mesh")):
@@ -296,9 +296,9 @@ def _stored(mesh: object) -> StoredMesh:
     if not isinstance(mesh, tuple | list) or len(mesh) != 2:
         raise InputError(
             "mesh",
-            "be a grid of pyvista, a mesh of meshio, points and cells, or a file",
+            "be a pyvista grid, a meshio mesh, a tuple (points, cells) or a file",
             type(mesh).__name__,
-            "wrap arrays as (points, cells)",
+            "pass arrays as (points, cells)",
         )
     points, cells = (np.asarray(each) for each in mesh)
     if points.ndim != 2 or points.shape[1] != 3 or cells.ndim != 2 or cells.shape[1] != 4:

@@ -116,7 +116,7 @@ def broken_sections(file: Path) -> InputError:
     """Return the error for a Gmsh file that is damaged or truncated."""
     return InputError(
         "file",
-        "hold complete sections of nodes and elements",
+        "contain complete sections of nodes and elements",
         f"an incomplete section in {file.name}",
         "export it again",
     )
@@ -138,8 +138,8 @@ def _version(lines: list[str], file: Path) -> int:
     if version is None:
         raise InputError(
             "file",
-            "be Gmsh text of version 1 or 2",
-            f"neither in {file.name}",
+            "be a Gmsh text file of version 1 or 2",
+            f"another format in {file.name}",
             "save it with gmsh -format msh22",
         )
     return version
@@ -190,8 +190,8 @@ def _numbered(cells: Ints, numbers: Ints, file: Path) -> Ints:
     found = order[np.minimum(np.searchsorted(numbers, cells, sorter=order), len(numbers) - 1)]
     unknown = cells[numbers[found] != cells]
     if len(unknown):
-        got = f"{unknown[0]} in {file.name}"
-        raise InputError("elements", "name nodes of the file", got, "export it again")
+        got = f"node {unknown[0]} in {file.name}"
+        raise InputError("elements", "refer to nodes of the file", got, "export it again")
     return found
 
 
@@ -214,7 +214,7 @@ def part_name(text: str, known: Mapping[int, str], what: str) -> str:
     if not shown or len(shown) > _LONGEST_NAME or shown in known.values() or shown == "none":
         raise InputError(
             what,
-            f"have names that differ, of 1 to {_LONGEST_NAME} characters and not 'none'",
+            f"have different names of 1 to {_LONGEST_NAME} characters other than 'none'",
             f"{shown[:_LONGEST_NAME]!r}",
             "rename these parts",
         )

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Bytes, Flags, Ints, compact, windings
-from meshes.base.errors import InputError, by
+from meshes.base.errors import InputError, by, counted
 from meshes.tets.tetrahedra import (
     TetMesh,
     cell_faces,
@@ -168,8 +168,8 @@ def repair_tets(
         nodes, moved = smooth(nodes, tets, _movable(len(nodes), tets, parts), SLIVER)
         left = int((mean_ratio(nodes, tets) < SLIVER).sum())
         notes.append(
-            f"Found {slivers} slivers (mean ratio below {SLIVER:g}), the worst at {at} mm; moving "
-            f"{moved} inner nodes left {left}."
+            f"Found {slivers} slivers (mean ratio below {SLIVER:g}), the worst at {at} mm. "
+            f"After moving {counted(moved, 'inner node')}, {counted(left, 'sliver')} remained."
         )
     _require_volume(nodes, tets)
     return TetMesh(*compact(nodes, tets), parts, part_names), tuple(notes)
@@ -269,8 +269,8 @@ def _require_no_overlap(nodes: Array, cells: Ints) -> None:
             "cells",
             "share each face with at most one other cell",
             (
-                f"{len(np.unique(where[crowded]))} faces of three or more cells, the first "
-                f"at {at} mm"
+                f"{counted(len(np.unique(where[crowded])), 'face')} of three or more cells, the "
+                f"first at {at} mm"
             ),
             "mesh the surface again",
         )
@@ -281,7 +281,10 @@ def _require_no_overlap(nodes: Array, cells: Ints) -> None:
         raise InputError(
             "cells",
             "not overlap",
-            f"{len(folded) // 2} faces with both cells on one side, the first at {at} mm",
+            (
+                f"{counted(len(folded) // 2, 'face')} with both cells on the same side, the first "
+                f"at {at} mm"
+            ),
             "mesh the surface again, because this mesh folds over itself",
         )
 
@@ -295,7 +298,7 @@ def _require_volume(nodes: Array, cells: Ints) -> None:
             "cells",
             "have volume",
             (
-                f"{len(bad)} flat tetrahedra of {len(cells)} that the repair could not fix, "
+                f"{len(bad)} of {len(cells)} cells that are flat after the repair, "
                 f"the first at {at} mm"
             ),
             "mesh the surface again",

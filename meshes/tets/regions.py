@@ -11,6 +11,7 @@ from meshes.base.arrays import Array, Ints, cross_products
 from meshes.base.errors import (
     InputError,
     in_brackets,
+    listed,
     require_direction,
     require_range,
     require_vector,
@@ -45,7 +46,7 @@ def nodes_behind_plane(
         raise InputError(
             "support",
             "touch the body",
-            f"the plane through {at} mm with no surface node inside",
+            f"the plane through {at} mm with no surface node behind it",
             (
                 f"move the plane: the nearest surface node, at {found} mm, is "
                 f"{1e3 * away[nearest]:.3g} mm away"
@@ -92,11 +93,16 @@ def nodes_of_part(mesh: TetMesh, name: str) -> Nodes:
         If the mesh has no such part, or the part has no cells.
     """
     if name not in mesh.part_names:
-        raise InputError("part", f"be one of {', '.join(mesh.part_names)}", name, "use one of them")
+        raise InputError(
+            "part", f"be one of {listed(mesh.part_names, 'or')}", name, "use one of them"
+        )
     cells = mesh.cells[mesh.part == mesh.part_names.index(name)]
     if not len(cells):
         raise InputError(
-            "part", "have cells", f"none of {name}", "use a finer mesh or another part"
+            "part",
+            "contain cells of the mesh",
+            f"{name}, which has no cells",
+            "use a finer mesh or another part",
         )
     return np.unique(cells)
 

@@ -33,7 +33,7 @@ def grid(x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> TetMesh:
     for name, axis in zip(("x_m", "y_m", "z_m"), axes, strict=True):
         if axis.ndim != 1 or len(axis) < 2 or not (np.diff(axis) > 0.0).all():
             raise InputError(
-                name, "hold at least two rising positions", axis, "use np.linspace(0, 1, 5)"
+                name, "contain at least two increasing positions", axis, "use np.linspace(0, 1, 5)"
             )
     return TetMesh(lattice(*axes), _kuhn([len(axis) - 1 for axis in axes]))
 

@@ -88,7 +88,7 @@ def bisected(
                 "size_m",
                 "be positive everywhere",
                 f"{1e3 * wanted.min():.4g} mm",
-                "use a hundredth of the body",
+                "use about a hundredth of the body's length",
             )
         rank = np.empty(len(keys), dtype=np.int64)
         # Ties are decided by node numbers, with the same result in every tetrahedron. Lengths that
@@ -112,7 +112,7 @@ def bisected(
         if len(cells) + len(halved) > _MOST_BISECTED:
             raise InputError(
                 "size_m",
-                f"leave at most {_MOST_BISECTED} tetrahedra",
+                f"give at most {_MOST_BISECTED} tetrahedra",
                 f"edges of {1e3 * wanted.min():.4g} mm",
                 "use longer edges",
             )
@@ -220,7 +220,7 @@ def stuffed(shape: Shape, spacing_m: float) -> TetMesh:
         possible = 1.1 * float(12.0 * np.prod(upper - lower) / _MOST_CELLS) ** (1.0 / 3.0)
         raise InputError(
             "spacing_m",
-            f"leave at most {_MOST_CELLS} tetrahedra",
+            f"give at most {_MOST_CELLS} tetrahedra",
             f"{1e3 * spacing:.4g} mm",
             f"use {1e3 * possible:.2g} mm or more",
         )
@@ -260,7 +260,7 @@ def with_part(mesh: TetMesh, shape: Shape, name: str) -> TetMesh:
     if not within.any():
         raise InputError(
             name,
-            "hold cells of the mesh",
+            "contain cells of the mesh",
             "none",
             "use a finer mesh, or move the shape into the mesh",
         )

@@ -123,8 +123,8 @@ def require_cells(nodes: Array, cells: Ints) -> None:
     if cells.min() < 0 or cells.max() >= len(nodes):
         raise InputError(
             "cells",
-            f"name nodes 0 to {len(nodes) - 1}",
-            f"{cells.min()} to {cells.max()}",
+            f"refer to the nodes 0 to {len(nodes) - 1}",
+            f"nodes {cells.min()} to {cells.max()}",
             "write the mesh again",
         )
     bad = int((~np.isfinite(nodes[np.unique(cells)]).all(axis=1)).sum())
@@ -174,7 +174,7 @@ class TetMesh:
             object.__setattr__(self, "part", np.zeros(len(self.cells), dtype=np.uint8))
         if len(self.cells) == 0:
             raise InputError(
-                "cells", "hold at least one tetrahedron", "none", "mesh the surface first"
+                "cells", "contain at least one tetrahedron", "none", "mesh the surface first"
             )
         # `require_cells` does not check nodes that no cell uses.
         is_finite = np.isfinite(self.nodes_m).all(axis=1)
@@ -192,7 +192,7 @@ class TetMesh:
             raise InputError(
                 "cells",
                 "have positive volume",
-                f"{flat} of {len(self.cells)} inverted or flat",
+                f"{flat} of {len(self.cells)} cells that are inverted or flat",
                 "repair them first",
             )
 
@@ -246,6 +246,6 @@ def write_organ(mesh: TetMesh, path: str | Path) -> None:
     """
     file = Path(path)
     if file.suffix != ".vtu":
-        raise InputError("path", "end in .vtu", file.name, "name it organ.vtu")
+        raise InputError("path", "end in .vtu", file.name, "name it for example organ.vtu")
     with whole_file(file) as temporary:
         grid_of(mesh).save(temporary)

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from meshes.base.arrays import Array, Bytes, Flags
-from meshes.base.errors import InputError, require_positive
+from meshes.base.errors import InputError, listed, require_positive
 from meshes.images.frame import Image
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
@@ -141,8 +141,8 @@ class LabelledTooth:
         if sides.min() < 8.0 * size:
             raise InputError(
                 "resample_mm",
-                "leave eight voxels across the tooth",
-                f"{1000.0 * size:g} for {1000.0 * sides.min():.3g} mm",
+                "leave at least eight voxels across the tooth",
+                f"{1000.0 * size:g} for a tooth of {1000.0 * sides.min():.3g} mm",
                 "use a value such as 0.1",
             )
         if region_m is not None:
@@ -157,7 +157,7 @@ class LabelledTooth:
             raise InputError(
                 "resample_mm",
                 f"leave at most {_MOST_VOXELS:.0e} voxels",
-                f"{1000.0 * size:g} which makes {count:.2g}",
+                f"{1000.0 * size:g}, which makes {count:.2g} voxels",
                 f"use {1000.0 * size * (count / _MOST_VOXELS) ** (1 / 3):.2g} or more",
             )
         if region_m is None:
@@ -250,7 +250,7 @@ def labelled_tooth(image: Image, *, labels: Mapping[int, str] = CARIES_LABELS) -
     held = ", ".join(f"{name} {volume:.4g} mm3" for name, volume in volumes_mm3.items())
     sentences = [
         *image.notes,
-        f"The labels of {image.source} hold {held}.",
+        f"The labels of {image.source} have {held}.",
         f"Long axis: {note}.",
         *islands,
     ]
@@ -290,7 +290,7 @@ def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], 
         raise InputError(
             "labels",
             f"be whole numbers from 0 to {EMPTY}",
-            f"others from {low:g} to {high:g} in {image.source}",
+            f"other values from {low:g} to {high:g} in {image.source}",
             "use a label image",
         )
     cropped = cropped.astype(np.uint8)
@@ -299,15 +299,13 @@ def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], 
         [np.bincount(plane.ravel(), minlength=EMPTY + 1) for plane in cropped.T], axis=0
     )
     found = [label for label in np.flatnonzero(counts).tolist() if label]
-    unknown = ", ".join(
-        f"{label} ({counts[label]} voxels)" for label in found if label not in labels
-    )
+    unknown = listed(f"{label} ({counts[label]} voxels)" for label in found if label not in labels)
     if unknown:
         raise InputError(
             "labels",
             f"name every label of {image.source}",
-            f"unnamed {unknown}",
-            "add them, or set them to 0 in the file",
+            f"no name for {unknown}",
+            "add the missing names, or set them to 0 in the file",
         )
     pieces, count = label_pieces(cropped)
     sizes = np.bincount(pieces.ravel())

@@ -238,9 +238,9 @@ def require_touching(points_m: Mapping[str, Array], solids: Mapping[str, Triangl
         ):
             raise InputError(
                 f"{name} surface",
-                "touch the other surfaces, all in one frame and unit",
-                f"a surface {1e3 * apart[nearest]:.3g} mm from the nearest other one, {nearest}",
-                "check its unit and its origin",
+                "touch another surface",
+                f"a distance of {1e3 * apart[nearest]:.3g} mm from the nearest one, {nearest}",
+                "export all surfaces in the same frame and unit",
             )
 
 

@@ -393,7 +393,7 @@ def _site(
     raise InputError(
         "layers",
         "lie on the tooth's long axis",
-        "none of enamel and dentin there",
+        "neither enamel nor dentin there",
         "check which layer is which",
     )
 

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Floats, Singles
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, listed
 from meshes.surfaces.site import Site
 from meshes.voxels.volume import FULL, VoxelVolume
 
@@ -106,12 +106,15 @@ def require_known(names: Iterable[str], argument: str) -> None:
     for name in given:
         if name not in TOOTH_LAYERS:
             raise InputError(
-                argument, f"name layers of {', '.join(TOOTH_LAYERS)}", name, "rename it"
+                argument,
+                f"contain only the layers {listed(TOOTH_LAYERS)}",
+                name,
+                "rename this layer",
             )
     for name in ("enamel", "dentin"):
         if name not in given:
             raise InputError(
-                argument, "give enamel and dentin", ", ".join(given) or "none", f"add the {name}"
+                argument, "contain enamel and dentin", listed(given) or "neither", f"add the {name}"
             )
 
 
@@ -134,7 +137,7 @@ def require_tooth_size(size_mm: float, argument: str, given: str, per_unit: floa
     raise InputError(
         argument,
         f"make the tooth {_SMALLEST_MM:g} to {LARGEST_MM:g} mm long",
-        f"{given}, which makes it {size_mm:.3g} mm",
+        f"{given}, which makes it {size_mm:.3g} mm long",
         f"use the scanner's value, about {_TYPICAL_MM / per_unit:.1g}",
     )
 
@@ -212,7 +215,7 @@ def tooth_axes(enamel_m: Array, body_m: Array) -> ToothAxes:
         raise InputError(
             "layers",
             "have the enamel to one side of the dentin",
-            f"middles {1e3 * height:.2g} mm apart",
+            f"centres only {1e3 * height:.2g} mm apart",
             "check which layer is which",
         )
     line = rise / height

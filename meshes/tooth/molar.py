@@ -199,8 +199,8 @@ def _require_fit(depth: float, roof: float, line: float) -> None:
     if depth > roof - _LEAST_OVER_PULP_M:
         raise InputError(
             "caries_depth_mm",
-            "leave 0.3 mm over the pulp",
-            f"{1000.0 * depth:g} with the chamber's roof at {1000.0 * roof:g}",
+            "leave at least 0.3 mm over the pulp",
+            f"{1000.0 * depth:g} with the roof of the pulp chamber at {1000.0 * roof:g} mm",
             f"use at most {1000.0 * (roof - _LEAST_OVER_PULP_M):g}",
         )
     # The height of the chamber is 1.9 mm and that of the root trunk 3.2 mm. The lower end of the
@@ -209,7 +209,7 @@ def _require_fit(depth: float, roof: float, line: float) -> None:
         raise InputError(
             "pulp_roof_mm",
             "lie above the root trunk",
-            f"{1000.0 * roof:g} with a cervical line {1000.0 * line:g} below the fossa",
+            f"{1000.0 * roof:g} with the cervical line {1000.0 * line:g} mm below the fossa",
             f"use at most {1000.0 * line + 0.8:g}",
         )
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from meshes.base.arrays import Array, Bytes, box_of
-from meshes.base.errors import InputError, require_positive, require_vector
+from meshes.base.errors import InputError, listed, require_positive, require_vector
 from meshes.base.placement import Placement
 
 DENSEST_KG_M3 = 2e4
@@ -79,7 +79,7 @@ class VoxelVolume:
         if highest >= len(self.layer_names):
             raise InputError(
                 "layer",
-                "index layer_names",
+                "contain indices of layer_names",
                 f"{highest} with {len(self.layer_names)} names",
                 "name every layer",
             )
@@ -118,7 +118,10 @@ class VoxelVolume:
         """
         if layer is not None and layer not in self.layer_names:
             raise InputError(
-                "layer", f"be one of {', '.join(self.layer_names)}", layer, "use one of these names"
+                "layer",
+                f"be one of {listed(self.layer_names, 'or')}",
+                layer,
+                "use one of these names",
             )
         inside = True if layer is None else self.layer == self.layer_names.index(layer)
         return (
@@ -136,7 +139,7 @@ def _require_array(
     if array.ndim != 3 or 0 in array.shape or array.shape != shape:
         raise InputError(
             name,
-            "have the shape (nx, ny, nz) of fraction with no zero",
+            "have the shape (nx, ny, nz) of fraction, without a zero",
             array.shape,
             "give all three arrays the same shape",
         )
@@ -186,18 +189,24 @@ def density_volume(
     density = np.asarray(density_kg_m3, dtype=np.float64)
     if density.ndim != 3 or 0 in density.shape:
         raise InputError(
-            "density_kg_m3", "have the shape (nx, ny, nz)", density.shape, "give one value a voxel"
+            "density_kg_m3",
+            "have the shape (nx, ny, nz)",
+            density.shape,
+            "give one value per voxel",
         )
     if not np.isfinite(density).all() or density.min() < 0.0 or density.max() > DENSEST_KG_M3:
         raise InputError(
             "density_kg_m3",
-            f"be finite from 0 to {DENSEST_KG_M3:g}",
+            f"be finite and from 0 to {DENSEST_KG_M3:g}",
             f"{density.min():g} to {density.max():g}",
-            "0 is no bone, 1800 is cortical bone",
+            "use 0 for no bone and 1800 for cortical bone",
         )
     if not density.any():
         raise InputError(
-            "density_kg_m3", "hold bone", "0 everywhere", "give its density where there is bone"
+            "density_kg_m3",
+            "contain bone",
+            "0 everywhere",
+            "give a positive density where there is bone",
         )
     numbers = np.zeros(density.shape, dtype=np.uint8) if layer is None else np.asarray(layer)
     if numbers.shape != density.shape or numbers.min() < 0 or numbers.max() >= len(layer_names):

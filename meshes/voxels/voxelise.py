@@ -387,7 +387,7 @@ def _grid(anatomy: Anatomy, spacing: float, region_m: Region | None) -> Grid:
         raise InputError(
             "region_m",
             "be given for an unbounded anatomy",
-            "None",
+            "none",
             "use the box that the tool reaches",
         )
     first = np.floor(lower / spacing + _ROUNDING).astype(int).tolist()

@@ -93,7 +93,7 @@ BAD = {
     # NIfTI
     "nifti cut": (
         lambda f: nifti(f, left=0.8),
-        "must hold the 280 bytes of voxels its header states, got 153",
+        "must contain the 280 bytes of voxels that its header states, got 153 bytes",
     ),
     "nifti cut in its header": (
         lambda f: nifti(f, left=0.3),
@@ -106,15 +106,15 @@ BAD = {
     "gzip cut to 30 %": (lambda f: nifti(f, suffix=".nii.gz", left=0.3), "file must "),
     "nifti larger than its data": (
         lambda f: nifti(f, dim=(3, 700, 500, 400)),
-        "must hold the 280000000 bytes",
+        "must contain the 280000000 bytes",
     ),
     "nifti smaller than its data": (
         lambda f: nifti(f, dim=(3, 7, 5, 3)),
-        "must hold the 210 bytes .* got more",
+        "must contain the 210 bytes .* got more bytes",
     ),
     "nifti of absurd size": (
         lambda f: nifti(f, suffix=".nii.gz", dim=(3, 32767, 32767, 32767)),
-        "must hold the 70",
+        "must contain the 70",
     ),
     "nifti spacing 0": (
         lambda f: nifti(f, pixdim=(1, 0, 0.5, 2)),
@@ -150,15 +150,18 @@ BAD = {
     ),
     "nifti 4-D": (
         lambda f: nifti(f, dim=(4, 7, 5, 2, 2)),
-        "count three axes.*got 7 x 5 x 2 x 2",
+        "the sizes of exactly three axes.*got 7 x 5 x 2 x 2",
     ),
     "nifti 2-D": (
         lambda f: nifti(f, dim=(2, 35, 4)),
-        "dim in the header must count three axes",
+        "dim in the header must be the sizes of exactly three axes",
     ),
     "nifti colours": (lambda f: nifti(f, datatype=128, bitpix=24), "one real number per voxel"),
     "nifti complex": (lambda f: nifti(f, datatype=32, bitpix=64), "one real number per voxel"),
-    "nifti unknown type": (lambda f: nifti(f, datatype=77), "datatype in the header must be known"),
+    "nifti unknown type": (
+        lambda f: nifti(f, datatype=77),
+        "datatype in the header must be a NIfTI code",
+    ),
     "nifti bits": (
         lambda f: nifti(f, bitpix=8),
         "bitpix in the header must match the data type int16",
@@ -168,14 +171,14 @@ BAD = {
     "text as gzip": (lambda f: text(f, "image.nii.gz"), "must be a NIfTI image"),
     "bit of a gzip": (lambda f: flipped_bit(f, "nii.gz"), "compressed data are damaged"),
     # NRRD
-    "nrrd cut": (lambda f: nrrd(f, left=0.7), "must hold the 280 bytes"),
+    "nrrd cut": (lambda f: nrrd(f, left=0.7), "must contain the 280 bytes"),
     "nrrd cut in its header": (lambda f: nrrd(f, left=0.2), " must "),
     "nrrd gzip cut": (lambda f: nrrd(f, encoding="gzip", left=0.9), "damaged or cut off"),
     "nrrd larger than its data": (
         lambda f: nrrd(f, sizes="70 50 40"),
-        "must hold the 280000 bytes",
+        "must contain the 280000 bytes",
     ),
-    "nrrd smaller than its data": (lambda f: nrrd(f, sizes="7 5 3"), "must hold the 210 bytes"),
+    "nrrd smaller than its data": (lambda f: nrrd(f, sizes="7 5 3"), "must contain the 210 bytes"),
     "nrrd spacing 0": (
         lambda f: nrrd(f, **UNSPACED, spacings="0 0.5 2"),
         "spacings must be above 0",
@@ -194,7 +197,7 @@ BAD = {
     ),
     "nrrd axes in a plane": (
         lambda f: nrrd(f, space_directions="(1,0,0) (0,1,0) (1,1,0)"),
-        "file must|must span",
+        "file must|must not lie in one plane",
     ),
     "nrrd axis without direction": (
         lambda f: nrrd(f, space_directions="none (0,1,0) (0,0,1)"),
@@ -217,7 +220,7 @@ BAD = {
     ),
     "nrrd spacings against directions": (
         lambda f: nrrd(f, spacings="0.8 0.5 1"),
-        "spacings must be the lengths of space directions, got 0.8 0.5 1 and",
+        "spacings must agree with the lengths of space directions, got 0.8 0.5 1 and",
     ),
     "nrrd directions without space": (
         lambda f: nrrd(f, space=None),
@@ -247,27 +250,36 @@ BAD = {
         lambda f: nrrd(f, space_units='"mm" "mm" "inch"'),
         "the unit of the axes must be",
     ),
-    "nrrd data missing": (lambda f: detached(f, True), "voxels.raw, which is not there"),
-    "nrrd data cut": (lambda f: detached(f, False), "must hold the 280 bytes"),
+    "nrrd data missing": (lambda f: detached(f, True), "voxels.raw, which does not exist"),
+    "nrrd data cut": (lambda f: detached(f, False), "must contain the 280 bytes"),
     "text as nrrd": (lambda f: text(f, "image.nrrd"), "must be a NRRD image"),
     "bit of a nrrd": (lambda f: flipped_bit(f, "nrrd"), "compressed data are damaged|do not fit"),
     # MetaImage
     "meta cut": (
         lambda f: meta(f, left=0.3),
-        "must hold the 280 bytes of voxels its header states, got a file of 84",
+        "must contain the 280 bytes of voxels that its header states, got a file of 84 bytes",
     ),
     "mha cut": (lambda f: meta(f, suffix=".mha", left=0.7), "file must "),
     "meta data missing": (
         lambda f: meta(f, ElementDataFile="gone.raw"),
-        "must lie in one file next to it, got gone.raw",
+        "must be in one file next to the header, got gone.raw",
     ),
     "meta larger than its data": (
         lambda f: meta(f, DimSize="70 50 40"),
-        "must hold the 280000 bytes",
+        "must contain the 280000 bytes",
     ),
-    "meta smaller than its data": (lambda f: meta(f, DimSize="7 5 3"), "must hold the 210 bytes"),
-    "meta size below 0": (lambda f: meta(f, DimSize="-7 5 4"), "DimSize must be three counts"),
-    "meta size 0": (lambda f: meta(f, DimSize="0 5 4"), "DimSize must be three counts"),
+    "meta smaller than its data": (
+        lambda f: meta(f, DimSize="7 5 3"),
+        "must contain the 210 bytes",
+    ),
+    "meta size below 0": (
+        lambda f: meta(f, DimSize="-7 5 4"),
+        "DimSize must be three positive whole numbers",
+    ),
+    "meta size 0": (
+        lambda f: meta(f, DimSize="0 5 4"),
+        "DimSize must be three positive whole numbers",
+    ),
     "meta spacing 0": (
         lambda f: meta(f, ElementSpacing="0 0.5 2"),
         "elementspacing must be above 0",
@@ -321,7 +333,7 @@ BAD = {
     # DICOM
     "slice missing": (
         lambda f: dicom(f, change=lambda p: slice_2(p).unlink()),
-        "got 4 mm where others are 2 mm .* 1 m",
+        r"got a step of 4 mm among steps of 2 mm .* \(1 slice missing",
     ),
     "slice cut": (
         lambda f: dicom(f, change=lambda p: cut(slice_2(p), 0.97)),
@@ -329,23 +341,23 @@ BAD = {
     ),
     "slice cut to 30 %": (
         lambda f: dicom(f, change=lambda p: cut(slice_2(p), 0.3)),
-        "a damaged slice, file 3 of 4",
+        "a damaged slice: file 3 of 4",
     ),
     "slice empty": (
         lambda f: dicom(f, change=lambda p: slice_2(p).write_bytes(b"")),
-        "another kind of content in file 3 of 4",
+        "other data in file 3 of 4",
     ),
     "rows against pixels": (
         lambda f: dicom(f, rows=50),
-        "must hold the 700 bytes of pixels that its header states, got",
+        "must contain the 700 bytes of pixels that its header states, got",
     ),
     "two series": (
         lambda f: dicom(f, each=lambda k: {"series": f"1.2.{k % 2}", "series_number": 3 + k % 2}),
-        r"got 2 in series \(number 3 of 2 slices, number 4 of 2 slices\)",
+        "got 2 in series: number 3 with 2 slices and number 4 with 2 slices. Choose",
     ),
     "tilt not shown": (
         lambda f: dicom(f, tilt=15.0),
-        "tilt of the gantry, got 15 degrees stated and 0 shown",
+        "gantry tilt of 15 degrees in the header, got a tilt of 0 degrees",
     ),
     "slices uneven": (
         lambda f: dicom(f, each=lambda k: {"position": (10.0, 20.0, (0.0, 2.0, 4.7, 6.0)[k])}),
@@ -353,15 +365,15 @@ BAD = {
     ),
     "two slices in a place": (
         lambda f: dicom(f, each=lambda k: {"position": (10.0, 20.0, 2.0 * (k // 2))}),
-        "two slices at one position",
+        "two slices at the same position",
     ),
     "slice pushed aside": (
         lambda f: dicom(f, each=lambda k: {"position": (10.0 + 3.0 * (k == 1), 20.0, 2.0 * k)}),
-        "must lie on one line",
+        "must lie on a straight line",
     ),
     "localiser among them": (
         lambda f: dicom(f, each=lambda k: {"orientation": "1\\0\\0\\0\\0\\-1"} if k == 3 else {}),
-        "one size, pixel spacing and orientation",
+        "the same size, pixel spacing and orientation",
     ),
     "pixels of 0 mm": (lambda f: dicom(f, spacing="0\\0.8"), "spacing must be in"),
     "pixels below 0 mm": (lambda f: dicom(f, spacing="-0.5\\0.8"), "spacing must be in"),
@@ -386,10 +398,10 @@ BAD = {
         lambda f: dicom(f, orientation="1\\0\\0\\1\\0\\0"),
         "two unit vectors at a right angle",
     ),
-    "colour table": (lambda f: dicom(f, photometric="PALETTE COLOR"), "must hold grey values"),
+    "colour table": (lambda f: dicom(f, photometric="PALETTE COLOR"), "must contain grey values"),
     "three colours": (
         lambda f: dicom(f, photometric="RGB", samples=3, columns=2),
-        "must hold|damaged",
+        "must contain|damaged",
     ),
     "inverted grey without air": (
         lambda f: dicom(f, values=VALUES % 100 + 1000, photometric="MONOCHROME1"),
@@ -397,16 +409,16 @@ BAD = {
     ),
     "syntax of other pixels": (
         lambda f: dicom(f, syntax="1.2.840.10008.1.2.4.90"),
-        "a damaged slice, file 1 of 4",
+        "a damaged slice: file 1 of 4",
     ),
     "unknown syntax": (lambda f: dicom(f, syntax="1.2.3.4.5"), "a damaged slice"),
     "text among slices": (
         lambda f: dicom(f, change=lambda p: text(p, "z.dcm")),
-        "another kind of content in file 5 of 5",
+        "other data in file 5 of 5",
     ),
-    "one slice": (lambda f: dicom(f, values=VALUES[:, :, :1]), "two slices or more"),
+    "one slice": (lambda f: dicom(f, values=VALUES[:, :, :1]), "at least two slices"),
     # others
-    "folder": (lambda f: f, "without DICOM files, TIFF or PNG slices"),
+    "folder": (lambda f: f, "without DICOM files and without TIFF or PNG slices"),
     "unknown": (lambda f: text(f, "image.gif"), "must be an image volume of a known format"),
 }
 

@@ -93,7 +93,10 @@ def test_an_exception_in_read_ends_at_zero_and_raises_one_sentence(kind, error, 
     ("device", "words"),
     [
         (Computed, r"device must be an object, got the class Computed. Give Computed\(\)"),
-        (lambda time_s: None, "device must have read and command, got function without read"),
+        (
+            lambda time_s: None,
+            "device must have the methods read and command, got function without read",
+        ),
     ],
 )
 def test_class_or_function_as_device_is_refused(device, words):

@@ -225,14 +225,14 @@ EXEMPT = {
     "fidelity.tick_ms": "the same",
 }
 BY_DATA = {
-    "tool.spin_rpm": "motion.feed_mm_s must give chips for each tooth thinner than",
+    "tool.spin_rpm": "motion.feed_mm_s must keep the chips of each tooth thinner than",
     "anatomy.site": "anatomy.site must not be caries for a tooth without a lesion, got caries. ",
-    "keep_clear.names": "keep_clear.names must be structures of the anatomy (none), got ",
-    "materials": "materials must hold a constant that the scene uses, got ",
+    "keep_clear.names": "keep_clear.names must be structures of the anatomy, which has none, got ",
+    "materials": "materials must contain a constant that the scene uses, got only ",
 }
 """Refusals of keys that only the contents of files leave without effect.
 
-Other keys are refused with "must be left out".
+Other keys are refused with "must be left out" or "must not be combined".
 """
 CLOCK = ("tick_us", "missed_deadlines", "events", "machine", "tissue", "scheduling", "machine_gaps")
 """Entries of a summary that a clock or a machine decides."""
@@ -347,9 +347,10 @@ def without_effect(kind, keys, files, folder):
 
 def is_refused(key, message):
     """Return True if a refusal reports that a key, or its whole table, has no effect."""
-    keys, must, rest = message.partition(" must be left out ")
+    combined = " must not be combined, got "
+    keys, must, rest = message.partition(combined if combined in message else " must be left out ")
     named = keys.replace(",", " ").split()
-    well_formed = must and "\n" not in message and ", got " in rest and ". " in rest
+    well_formed = must and "\n" not in message and ". " in rest
     by_data = key in BY_DATA and message.startswith(BY_DATA[key])
     return by_data or (bool(well_formed) and (key in named or key.split(".")[0] in named))
 

@@ -134,7 +134,7 @@ def test_a_run_of_version_0_2_is_read_and_copied_and_never_replaced(refused, mad
     put(folder, ["notes.txt", "pictures/mine.png"])
     before = content(folder)
     message = refused("run", *WALL, "--no-pictures", "--out", folder, "--overwrite")
-    assert message.startswith("out must not hold files of other origin")
+    assert message.startswith("out must not contain files of other origin")
     assert content(folder) == before
     copied = content(Run.load(folder).save(tmp_path / "copy"))
     assert {"trace.csv", "timing.csv", "scene.toml", "summary.json"} <= set(copied)

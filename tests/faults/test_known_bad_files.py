@@ -16,12 +16,17 @@ MSH = fuzz_sources.msh_text()
 POSES = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw\n0,0,0,1,0,0,0,1\n1,0,0,0,0,0,0,1\n"
 BAD_TEXT = [
     ("surface", "zero.obj", OBJ.replace("f 1 3 2", "f 0 3 2"), "vertex numbers from 1"),
-    ("surface", "beyond.obj", OBJ.replace("f 1 3 2", "f 99 3 2"), "must name vertices 0 to 7"),
+    (
+        "surface",
+        "beyond.obj",
+        OBJ.replace("f 1 3 2", "f 99 3 2"),
+        "must refer to the vertices 0 to 7",
+    ),
     (
         "surface",
         "back.obj",
         OBJ.replace("f 1 3 2", "f -99 3 2"),
-        "names vertex -99 after 8 vertices",
+        "refers to vertex -99 after only 8 vertices",
     ),
     (
         "surface",
@@ -42,12 +47,12 @@ BAD_TEXT = [
         OBJ.replace("v 40.0 0.0 0.0", "v 40.0 0.0"),
         "three numbers of a vertex",
     ),
-    ("surface", "word.obj", OBJ + "hello\n", "begins with no keyword"),
+    ("surface", "word.obj", OBJ + "hello\n", "begins with an unknown keyword"),
     (
         "tets",
         "node.msh",
         MSH.replace("1 4 2 1 1 1 2 3 7", "1 4 2 1 1 1 2 3 77"),
-        "must name nodes of the file, got 77",
+        "must refer to nodes of the file, got node 77",
     ),
     ("tets", "short.msh", MSH.replace("1 4 2 1 1 1 2 3 7", "1 4 2 1 1 1 2 3"), "complete sections"),
     (
@@ -58,19 +63,19 @@ BAD_TEXT = [
     ),
     ("tets", "twice.msh", MSH.replace("\n2 40.0 0.0 0.0", "\n1 40.0 0.0 0.0"), "complete sections"),
     ("tets", "count.msh", MSH.replace("$Elements\n6", "$Elements\n9"), "complete sections"),
-    ("tets", "names.msh", MSH.replace('"nodule"', '"liver"'), "names that differ"),
+    ("tets", "names.msh", MSH.replace('"nodule"', '"liver"'), "must have different names"),
     ("tets", "binary.msh", MSH.replace("2.2 0 8", "2.2 1 8"), "complete sections|not installed"),
     ("tets", "new.msh", MSH.replace("2.2 0 8", "4.1 0 8"), "complete sections|not installed"),
-    ("tets", "text.msh", "a mesh", "text of version 1 or 2"),
+    ("tets", "text.msh", "a mesh", "text file of version 1 or 2"),
     (
         "scene",
         "newer.toml",
         "format = 99\ntissue = '9.0'\nname = 'x'\n",
-        "or older, got 99, written by tissue 9.0",
+        "or older, got format 99 in .*newer.toml, written by tissue 9.0",
     ),
     ("scene", "none.toml", "format = 'x'\nname = 'x'\n", "must state the version"),
     ("scene", "number.toml", "name = 3\n", "name must"),
-    ("poses", "text.csv", POSES.replace("1,0,0,0,", "1,0,up,0,"), "must hold numbers, got 'up'"),
+    ("poses", "text.csv", POSES.replace("1,0,0,0,", "1,0,up,0,"), "only numbers, got 'up'"),
     (
         "poses",
         "short.csv",
@@ -135,8 +140,8 @@ def test_a_bad_surface_is_refused(meshes, tmp_path, name, old, new):
 @pytest.mark.parametrize(
     ("length", "message"),
     [
-        (-50, "12 triangles in its header and 11 of them"),
-        (60, "0 triangles in its header and 0 of"),
+        (-50, "cut.stl with 11 of the 12 triangles that its header states"),
+        (60, "cut.stl without a complete triangle"),
     ],
 )
 def test_a_binary_stl_that_is_cut_is_refused(meshes, tmp_path, length, message):
@@ -180,18 +185,18 @@ SUMMARY = {
     [
         (
             {"format": 99, "tissue": "9.0"},
-            "must be of format 1 or older, got 99, written by tissue 9.0",
+            "must have format 1 or older, got format 99 in .*, written by tissue 9.0",
         ),
         ({"format": None}, "must state the version of its format"),
         ({"format": True}, "must state the version of its format"),
-        ({"status": "fine"}, "must hold status"),
-        ({"status": "complete"}, "must hold simulated_s"),
-        ({"layers": "bone"}, "must hold layers"),
-        ({"layers": ["a", "a"]}, "must hold layers"),
-        ({"layers": [3]}, "must hold layers"),
-        ({"events": {"what": 1}}, "must hold events"),
-        ({"events": [{"what": "x"}]}, "must hold events"),
-        ({"scene": ["milling"]}, "must hold scene"),
+        ({"status": "fine"}, "must have a valid entry status"),
+        ({"status": "complete"}, "must have a valid entry simulated_s"),
+        ({"layers": "bone"}, "must have a valid entry layers"),
+        ({"layers": ["a", "a"]}, "must have a valid entry layers"),
+        ({"layers": [3]}, "must have a valid entry layers"),
+        ({"events": {"what": 1}}, "must have a valid entry events"),
+        ({"events": [{"what": "x"}]}, "must have a valid entry events"),
+        ({"scene": ["milling"]}, "must have a valid entry scene"),
     ],
 )
 def test_a_bad_summary_is_refused(tmp_path, change, sentence):
@@ -205,8 +210,8 @@ def test_a_bad_summary_is_refused(tmp_path, change, sentence):
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("0.001,", "up,", "must hold numbers, got 'up' for time_s in line 3"),
-        ("0.001,", "nan,", "must hold finite numbers"),
+        ("0.001,", "up,", "must contain only numbers, got 'up' for time_s in line 3"),
+        ("0.001,", "nan,", "must contain only finite numbers"),
         ("0.001,", "-1.0,", "must have increasing time_s"),
         ("0.001,", "0.001,7,", "values in each line"),
         ('"bone, hard"\n', "marrow\n", "must name a layer of the run"),

@@ -135,5 +135,5 @@ def test_a_broken_series_names_no_patient(refused, here, kind, recwarn):
 def test_several_series_are_named_by_number_and_slices(refused, here):
     write_block(here, each=lambda k: {"series": UIDS[k % 2], "series_number": 7 + k % 2})
     sentence = refused(*RUN)
-    assert "got 2 in scan (number 7 of 6 slices, number 8 of 6 slices)" in sentence
+    assert "got 2 in scan: number 7 with 6 slices and number 8 with 6 slices" in sentence
     require_none(sentence.encode())

@@ -66,6 +66,7 @@ def test_the_wall_of_a_hole_with_a_constant_flux():
         np.full(shape, CONDUCTIVITY),
         np.full(shape, CAPACITY),
         np.zeros(shape, bool),
+        np.zeros((0, 3)),
     )
     body = Conduction(grid)
     angle = np.linspace(0.0, 2.0 * pi, 2000, endpoint=False)

@@ -14,6 +14,7 @@ from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.cutters.profile import ball_burr
 from tissue.materials.constants import constants, cutting_coefficients
+from tissue.materials.scene_constants import Materials
 from tissue.models.bone.model import BoneModel
 from tissue.models.heat.conduction import Conduction, HeatGrid
 from tissue.models.heat.cutting_heat import CuttingHeat
@@ -27,7 +28,12 @@ def grid_of(conductivity, capacity, edges_m, filled=None):
     """Cells of given material, full where they hold any."""
     filled = (conductivity > 0.0).astype(float) if filled is None else filled
     return HeatGrid(
-        edges_m, filled, conductivity, capacity, np.zeros(conductivity.shape, dtype=bool)
+        edges_m,
+        filled,
+        conductivity,
+        capacity,
+        np.zeros(conductivity.shape, dtype=bool),
+        np.zeros((0, 3)),
     )
 
 
@@ -67,6 +73,34 @@ def test_plane_source_at_an_insulated_face_over_growing_cells():
         assert body.rise_K[cell, 0, 0] == pytest.approx(
             flux / CONDUCTIVITY * exact, abs=0.01 * flux / CONDUCTIVITY * peak
         )
+
+
+@pytest.mark.parametrize("thickness", range(8, 17))
+def test_rise_at_the_pulp_wall_does_not_depend_on_the_cells_outside_the_reach(thickness):
+    """The rise at the wall over large cells is within 2 % of the rise over equal cells.
+
+    Measured: 1.4 %. Dentin of 8 to 16 voxels lies between a plane source and the pulp. The wall falls on a face of a
+    large cell, or inside such a cell.
+    """
+    count = 60
+    layer = np.zeros((3, 3, count), np.uint8)
+    layer[..., : count - thickness] = 1
+    full = np.full(layer.shape, 255, np.uint8)
+    density = np.full(layer.shape, 1000, np.uint16)
+    spacing = 1.25e-4
+    column = VoxelVolume(np.zeros(3), spacing, full, layer, density, ("dentin", "pulp"))
+    top = spacing * np.array([3.0, 3.0, count])
+    rises = []
+    for lowest in (0, count - 2):
+        reach = spacing * np.array([0.0, 0.0, lowest]), top
+        grid = HeatGrid.of_volume(column, reach_m=reach, constants=Materials.cited)
+        body = Conduction(grid)
+        power = np.zeros(grid.filled.shape)
+        power[..., -1] = 1e-3
+        body.advance(power, 10.0)
+        at_wall = grid.interpolation(grid.pulp_wall_m) @ body.rise_K.reshape(-1)
+        rises.append(at_wall.max())
+    assert rises[1] == pytest.approx(rises[0], rel=0.02)
 
 
 @pytest.mark.slow

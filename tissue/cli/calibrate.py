@@ -66,7 +66,7 @@ def calibrate(
         raise InputError(
             "exactly one of --observer, --ask and --population",
             "be given",
-            "none or more than one",
+            "none or more than one of them",
             "try --observer simulated:1 --out observer.json",
         )
     if population is not None:

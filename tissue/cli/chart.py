@@ -63,7 +63,7 @@ def chart(
     else:
         left_out(
             "unless predictors are charted",
-            "add prediction before the scenes, or remove it",
+            "add prediction before the scenes, or remove this option",
             trials=trials,
             predictor_file=predictor_file,
         )

@@ -177,8 +177,8 @@ def _numbers(name: str, text: str, count: int, form: str) -> tuple[float, ...]:
     if len(found) != count:
         raise InputError(
             name,
-            "be a number" if count == 1 else f"be {count} numbers, {form}",
+            "be a number" if count == 1 else f"be {count} numbers in the form {form}",
             text,
-            "write numbers with commas between them and no spaces",
+            "write commas without spaces between the numbers",
         )
     return found

@@ -125,10 +125,7 @@ def main() -> NoReturn:
     try:
         os.getcwd()
     except FileNotFoundError:
-        _refuse(
-            "the working directory must exist, got one that was removed: change to another "
-            "directory"
-        )
+        _refuse("the working directory was removed. Change to another directory")
     if sys.argv[1:] in ([], ["--help"], ["-h"]):
         # The list of commands has no Markdown, and importing its parser takes 0.1 s.
         app.help_format = "plaintext"
@@ -156,11 +153,11 @@ def main() -> NoReturn:
             # An error without a file is a fault of the program, not of the disk.
             if not error.filename or not error.strerror:
                 raise
-            changed = f"{error.strerror.lower()} at {error.filename}"
+            changed = f'the error "{error.strerror.lower()}" at {error.filename}'
             required = "stay unchanged while a command runs"
             _refuse(str(InputError("files", required, changed, "check this path")))
         is_full = error.errno in FULL
-        required = "have space" if is_full else "be writable"
+        required = "have free space" if is_full else "be writable"
         remedy = "free some space or choose" if is_full else "choose"
         where = f" at {error.filename}" if error.filename else ""
         place, other = _place(error.filename)

@@ -333,7 +333,7 @@ def _live_settings(options: LiveOptions, duration_s: float | None) -> "LiveSetti
         left_out("without --live", remedy, ros2=options.ros2, slicer=options.slicer)
     if not options.slicer:
         idle = {"slicer_port": options.slicer_port, "slicer_drives": options.slicer_drives}
-        left_out("without --slicer", "give --live --slicer, or remove it", **idle)
+        left_out("without --slicer", "give --live --slicer, or remove this option", **idle)
     if not options.live:
         return None
     from tissue.simulation.live.publisher import PORT, SlicerLink
@@ -356,7 +356,7 @@ def _live_settings(options: LiveOptions, duration_s: float | None) -> "LiveSetti
 def _refuse_unused(scene: "Scene", engine: EngineOptions) -> None:
     """Raise an error if an option has no effect in the scene."""
     idle = engine.allow_unstable and scene.device is None
-    left_out("without a device", "set device = touch, or remove it", allow_unstable=idle)
+    left_out("without a device", "set device = touch, or remove this option", allow_unstable=idle)
     if scene.anatomy.kind in ("wall", "layers"):
         there = engine.compute if engine.compute != "cpu" else None
         left_out(
@@ -370,7 +370,7 @@ def _refuse_unused(scene: "Scene", engine: EngineOptions) -> None:
 def _check_band(scene: "Scene", options: BandOptions, *, live: bool) -> None:
     """Check the options for uncertainty bands; without --band, there must be none."""
     if options.band is None:
-        left_out("without --band", "give --band 200, or remove it", **asdict(options))
+        left_out("without --band", "give --band 200, or remove this option", **asdict(options))
         return
     left_out("with --live", "run the scene without --live", band=options.band if live else None)
     from tissue.fitting.bands.band import require_band

@@ -165,7 +165,7 @@ def report(
         "overshoot_limit_mm": overshoot_limit_mm,
     }
     if against is None:
-        left_out("without --against", "give --against DIR, or remove it", **limits)
+        left_out("without --against", "give --against DIR, or remove this option", **limits)
     with progress() as shown:
         written = write(
             folder,

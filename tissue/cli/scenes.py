@@ -58,7 +58,7 @@ def _print_or_write(text: str, out: Path | None, *, overwrite: bool) -> None:
     if out is None:
         left_out(
             "without --out, because the text is printed",
-            "give --out, or leave it out",
+            "give --out, or remove this option",
             overwrite=overwrite,
         )
         sys.stdout.write(text)

@@ -49,7 +49,7 @@ def stability(
         return
     if only:
         raise InputError(
-            "--only", "be given without a scene", f"{only[0]} with {scene}", "leave the scene out"
+            "--only", "be given without a scene", f"{only[0]} with {scene}", "remove the scene"
         )
     if out is None:
         left_out(

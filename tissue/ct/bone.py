@@ -380,7 +380,10 @@ def _followed(like: str | None, at: Placed | None, *, replay: bool) -> dict[str,
         scene = load_scene(wanted)
         if not isinstance(scene.tool, Tool):
             raise InputError(
-                "like", "be a scene in which a tool cuts", like, "use milling or glenoid"
+                "like",
+                "be a scene in which a tool cuts",
+                like,
+                "use for example milling or glenoid",
             )
         tables = scene_tables(scene, (*HEAD, *TABLES, "anatomy"))
         tables["anatomy"] = {key: value for key, value in tables["anatomy"].items() if key in HOLE}

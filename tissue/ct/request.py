@@ -88,9 +88,9 @@ class ImportRequest:
     def __post_init__(self) -> None:
         of_bone = ("density", "threshold", "path", "keep_clear", "crop_mm")
         self._require_points()
-        give_labels = "give the file of the labels by --labels, or leave it out"
-        give_point = "give a point as site, or leave normal out"
-        leave_out = "leave it out"
+        give_labels = "give the labels by --labels FILE, or remove this option"
+        give_point = "give a point as site, or remove normal"
+        leave_out = "remove it"
         for is_case, case, names, remedy in (
             (
                 self.labels is None,
@@ -159,10 +159,12 @@ class ImportRequest:
         for name, given in points.items():
             for each in given:
                 if each is not None and not isinstance(each, str) and as_vector(each) is None:
-                    raise InputError(name, "hold three finite numbers", each, "give x, y, z")
+                    raise InputError(
+                        name, "consist of three finite numbers", each, "give x, y and z"
+                    )
         if self.coordinates not in TO_LPS:
             raise InputError(
-                "coordinates", "be LPS or RAS", self.coordinates, "give the frame of the numbers"
+                "coordinates", "be LPS or RAS", self.coordinates, "write it in capital letters"
             )
         # markups files contain their own frame
         path_in_numbers = self.path is not None and self.path.suffix.lower() not in MARKUPS
@@ -172,7 +174,7 @@ class ImportRequest:
                 "coordinates",
                 "be left out unless a box, a site or a path is given in numbers",
                 "RAS",
-                "leave coordinates out: files of markups state their own frame",
+                "remove it, because files of markups contain their own frame",
             )
         if self.crop_mm is not None and not np.less(*self.crop_mm).all():
             raise InputError(
@@ -240,7 +242,7 @@ class ImportRequest:
                 "source",
                 "be an image",
                 self.source.name,
-                "a surface needs no import: set anatomy.file to it in a scene",
+                "to use a surface, set anatomy.file to it in a scene. No import is needed",
             )
         with names_of_caller({"file": "source", "anatomy.spacing_mm": "spacing_mm"}):
             return read_image(self.source, spacing_mm=self.spacing_mm, series=self.series)
@@ -337,7 +339,7 @@ def placed(request: ImportRequest, surface: Surface) -> tuple[Placed | None, str
     usual = next((kind for word, kind in USUAL if re.search(word, request.region or "")), None)
     pick = "pick one by `tissue view`, or give --site"
     if usual is None:
-        return None, f"site: none was asked for; {pick}"
+        return None, f"site: none was given; {pick}"
     try:
         return _searched(usual, surface)
     except InputError as error:
@@ -413,7 +415,7 @@ def kept_clear(
             "keep_clear",
             "name each label once",
             ", ".join(request.keep_clear),
-            "leave the repeated label out",
+            "remove the repeated label",
         )
     found = {}
     sentences = []
@@ -481,24 +483,24 @@ def import_path(request: ImportRequest, at: Placed | None, surface: Surface) -> 
     if at is None:
         raise InputError(
             "site",
-            "be given with a path",
-            f"none for {name}",
-            "give a point near its start by --site",
+            f"be given for the path {name}",
+            "nothing",
+            "give a point near the start of the path by --site",
         )
     path = read_toolpath(request.path, request.coordinates)
     if path.feeds_mm_s is not None and request.feed_mm_s is not None:
         raise InputError(
             "feed_mm_s",
-            "be left out for a path that states its own",
-            f"{request.feed_mm_s:g} for {name}",
-            "leave it out",
+            f"be left out, because the path {name} contains its own feeds",
+            f"{request.feed_mm_s:g}",
+            "remove it",
         )
     depth = depth_along(path, surface)
     if depth.deepest_mm <= 0.0:
         raise InputError(
             "path",
             "enter the bone",
-            f"{name}, which stays {-depth.deepest_mm:.3g} mm outside",
+            f"{name}, which stays {-depth.deepest_mm:.3g} mm outside the bone",
             "check the unit of the path, and give its frame by --coordinates LPS or RAS",
         )
     table = to_replay(

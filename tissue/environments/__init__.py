@@ -41,7 +41,10 @@ def register_environments() -> None:
         from gymnasium.envs.registration import register, registry
     except ImportError:
         raise InputError(
-            "gymnasium", "be installed for environments", "none", f"run {install_command('rl')}"
+            "gymnasium",
+            "be installed for environments",
+            "a Python environment without it",
+            f"run {install_command('rl')}",
         ) from None
     for name, place in IDS.items():
         if name not in registry:

@@ -15,7 +15,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Singles
-from meshes.base.errors import InputError, require_positive, require_range
+from meshes.base.errors import InputError, listed, require_positive, require_range
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.materials.scene_constants import Materials
@@ -167,9 +167,9 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
             if name not in self.ranges:
                 raise InputError(
                     "options",
-                    f"hold only {', '.join(self.ranges)}",
-                    f"{name!r}",
-                    f"leave {name!r} out",
+                    f"have only the keys {listed(self.ranges)}",
+                    f"the key {name}",
+                    f"remove the key {name}",
                 )
             self.drawn[name] = require_range(
                 f"options[{name!r}]", value, *self.ranges[name], "use a value in this range"
@@ -228,8 +228,10 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
             raise InputError(
                 "action",
                 f"be an array of shape {wanted}, with numbers in [-1, 1]",
-                "an object of another type" if found is None else f"shape {found.shape}",
-                "sample one with env.action_space.sample() to see the form",
+                "an object of another type"
+                if found is None
+                else f"an array of shape {found.shape}",
+                "call env.action_space.sample() to see an example",
             )
         return found
 
@@ -290,7 +292,9 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
 
     def _require_episode(self, method: str) -> None:
         if not self.drawn:
-            raise InputError(method, "follow reset", "no episode", "call reset first")
+            raise InputError(
+                method, "be called after reset", "a call before reset", "call reset first"
+            )
 
     @property
     @abstractmethod

@@ -197,9 +197,9 @@ def cutting_forward(
     if not record.layers:
         raise InputError(
             "measured",
-            "hold poses in which the tool cuts",
+            "contain poses at which the tool cuts",
             "a log whose tool only moves through air",
-            "give the log of a cut, and its poses in the frame of the scene",
+            "give the log of a cut, with poses in the frame of the scene",
         )
     notes = [f"{subject}: {each}" for subject, each in record.notes.items()]
     if (inside := float(record.trace["removed_mm3"][0])) > 0.0:

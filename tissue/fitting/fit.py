@@ -25,7 +25,7 @@ from tissue.scene.anatomy import CutAnatomy
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.scene import Scene
 
-FITTED = "fit a scene of bone, a tooth or an organ under a probe"
+FITTED = "use a scene in which a tool cuts bone or a tooth, or a probe presses an organ"
 SHOWN = 5
 """Largest number of entries in each of two lists of a report.
 
@@ -414,19 +414,18 @@ def _determines_nothing(posterior: Posterior, log: MeasuredLog, *, is_mesh: bool
     if is_mesh:
         return InputError(
             "anatomy.touch_edge_mm",
-            "be fine enough to determine a constant",
-            "a mesh with an error so large that the log determines no constant of the scene",
-            "use a shorter edge",
+            "be small enough to determine a constant",
+            "a mesh whose error is so large that the log determines no constant of the scene",
+            "use a smaller value",
         )
     forces = [at for at, name in enumerate(log.channels) if name.startswith("force_")]
     largest = float(np.abs(posterior.simulated - posterior.nuisances.bias)[:, forces].max())
     return InputError(
         "measured",
-        "determine a constant",
+        "determine at least one constant of the scene",
         (
-            f"a log with a force of {largest:.2g} N at most and noise of "
-            f"{posterior.nuisances.scale[forces].max():.2g} N, which determines no constant "
-            "of the scene"
+            f"a log with forces up to {largest:.2g} N and noise of "
+            f"{posterior.nuisances.scale[forces].max():.2g} N"
         ),
         (
             "give the log of a deeper or faster cut, and check that the scene describes "

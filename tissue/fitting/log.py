@@ -20,6 +20,7 @@ from tissue.fitting.log_columns import (
     quantities,
     split_unit,
     suggested,
+    the_columns,
 )
 from tissue.fitting.log_files import (
     CHANNELS,
@@ -151,7 +152,10 @@ def log_of(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> Measur
     if "time_s" not in values and rate_Hz and TIPS[2] in values:
         if not rate_Hz > 0.0:
             raise InputError(
-                "column", "give a rate above 0", f"time_s={number}:Hz", "write time_s=500:Hz"
+                "column",
+                "give a rate above 0",
+                f"time_s={number}:Hz",
+                "write for example time_s=500:Hz",
             )
         values["time_s"] = np.arange(len(values[TIPS[2]])) / rate_Hz
         notes.append(f"the times follow from the rate of {rate_Hz:g} Hz")
@@ -173,7 +177,8 @@ def _require_motion(path: Path, values: Mapping[str, Array], asked: Mapping[str,
         flags = " ".join(f"--column '{name}={asked.get(name, name)}:m'" for name in TIPS)
         raise InputError(
             f"measured: the tool in {path.name} moves only {1e3 * span_m:.2g} mm in all, so its "
-            f"positions may be in metres. Give their unit, {flags}, or :mm if they are in mm."
+            f"positions may be in metres. Give their unit by {flags}. If they are in mm, write "
+            ":mm instead of :m."
         )
 
 
@@ -189,12 +194,15 @@ def _checked(
         if FORCES[0] in missing:
             likely = [name for name in FORCES if "COLUMN" not in suggested([name], names)]
             missing = [name for name in missing if name not in FORCES] + (likely or [FORCES[2]])
-        remedy = f"name its columns, {suggested(missing, names)}"
+        remedy = f"name the columns by {suggested(missing, names)}"
         if "time_s" in missing:
-            remedy += ", or give the rate of its samples in place of times, --column time_s=500:Hz"
+            remedy += ". If the log has no times, give its sampling rate by --column time_s=500:Hz"
         if set(missing) & set(TIPS) and "=0'" not in remedy:
-            remedy += ", and a constant where the tool does not move, --column tool_x_mm=0"
-        raise refuse(f"hold {', '.join(missing)}", ", ".join(names[:40]), remedy)
+            remedy += (
+                ". If the tool does not move along an axis, give a constant, for example by "
+                "--column tool_x_mm=0"
+            )
+        raise refuse(f"have {the_columns(missing)}", the_columns(names[:40]), remedy)
     _merge(taken, notes)
     clocks = {name: taken[name] for name in ("time_s", "load_time_s") if name in taken}
     for name, times_s in clocks.items():
@@ -203,13 +211,16 @@ def _checked(
             # rows are counted from 1, and a step ends at the later of its two rows
             line = int(np.argmax(~(steps > 0.0))) + 2
             raise refuse(
-                "hold times that increase",
-                f"{name} that does not increase in row {line}",
+                f"have increasing times in {name}",
+                f"row {line}, whose time is missing or not later than in the previous row,",
                 "sort the rows by time",
             )
         lasts_s = times_s[-1] - times_s[0]
         if lasts_s < SHORTEST_S:
-            remedy = f"give a longer log, or the unit of its times by --column {name}={name}:ms"
+            remedy = (
+                "give a longer log, or give the unit of its times, for example by "
+                f"--column {name}={name}:ms"
+            )
             raise refuse(f"last {SHORTEST_S:g} s or more", f"{lasts_s:.3g} s", remedy)
         usual_s = float(np.median(steps))
         if gaps := int((steps > GAP * usual_s).sum()):
@@ -223,26 +234,27 @@ def _checked(
     tips_m = np.column_stack([taken[name] for name in TIPS])
     if len(tips_m) != len(times_s) or len(loads) != len(load_times_s):
         raise refuse(
-            "hold a pose and a load at each of its times",
-            f"{len(tips_m)} poses and {len(loads)} loads at {len(times_s)} and "
+            "have one time for each pose and one for each load",
+            f"{len(tips_m)} poses at {len(times_s)} times and {len(loads)} loads at "
             f"{len(load_times_s)} times",
-            "name the times of the loads load_time_s",
+            "give the times of the loads in the column load_time_s",
         )
     far = tips_m[~(np.abs(tips_m) < FARTHEST_M)]
     if far.size:
         raise refuse(
-            f"hold finite positions within {FARTHEST_M:g} m of the scene's origin",
+            f"have finite positions within {FARTHEST_M:g} m of the scene's origin",
             f"{far[0]:.3g} m",
-            "leave damaged rows out, or give the unit, --column tool_x_mm=COLUMN:um for example",
+            "remove damaged rows, or give the unit, for example by --column tool_x_mm=COLUMN:um",
         )
     for channel, values in zip(channels, loads.T, strict=True):
         unit = channel.rpartition("_")[2]
+        shown_unit = unit.replace("Nm", "N m")
         largest = float(np.nanmax(np.abs(values), initial=0.0))
         if largest >= LARGEST[unit]:
             raise refuse(
-                f"hold loads below {LARGEST[unit]:g} in {channel}",
-                f"{largest:.3g}",
-                f"give its unit, --column {channel}=COLUMN:m{unit} for example",
+                f"have loads below {LARGEST[unit]:g} {shown_unit} in {channel}",
+                f"{largest:.3g} {shown_unit}",
+                f"give the unit of the column, for example by --column {channel}=COLUMN:m{unit}",
             )
     loads = without_saturation(loads, channels, notes)
     notes += pose_notes(times_s, tips_m, float(np.median(np.diff(load_times_s))))
@@ -280,7 +292,7 @@ def _turns(taken: Mapping[str, Array], path: Path) -> Array | None:
         sizes = np.linalg.norm(quaternions, axis=1, keepdims=True)
         # a shorter quaternion is a zero with rounding, and has no direction
         if not (sizes > 1e-6).all():
-            raise refusal(path, "hold unit quaternions", "a zero quaternion", "leave that row out")
+            raise refusal(path, "contain unit quaternions", "a zero quaternion", "remove its row")
         return quaternions / sizes
     if taken.keys() >= set(ROTATION_VECTOR):
         vectors = np.column_stack([taken[name] for name in ROTATION_VECTOR])
@@ -389,8 +401,8 @@ def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]
     bend_m = float(np.linalg.norm(np.diff(tips_m, 2, axis=0), axis=1).max()) / 8.0
     if period_s > SLOWER * load_period_s and bend_m > CORNER_M:
         notes.append(
-            f"poses come every {1e3 * period_s:.3g} ms, loads every {1e3 * load_period_s:.3g} ms: "
-            f"the straight path between poses is off by {1e3 * bend_m:.2g} mm at the sharpest "
+            f"poses come every {1e3 * period_s:.3g} ms, loads every {1e3 * load_period_s:.3g} ms. "
+            f"The straight path between poses is off by {1e3 * bend_m:.2g} mm at the sharpest "
             "corner. Record poses at a higher rate"
         )
     # third differences of independent noise have sqrt(20) times its standard deviation
@@ -405,6 +417,6 @@ def pose_notes(times_s: Array, tips_m: Array, load_period_s: float) -> list[str]
         notes.append(
             f"poses have noise of {1e3 * noise_m:.2g} mm, which gives a speed of "
             f"{1e3 * shaken_m_s:.3g} mm/s between neighbouring poses, but the tool moves at "
-            f"{1e3 * fastest_m_s:.3g} mm/s at most: smooth the poses first"
+            f"{1e3 * fastest_m_s:.3g} mm/s at most. Smooth the poses first"
         )
     return notes

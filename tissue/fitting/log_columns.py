@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, listed
 from meshes.base.text_tables import number_or_nan
 from meshes.base.units import UNITS, column_of, name_of, plain_unit, unit_of
 from tissue.fitting.log_files import CHANNELS, QUATERNION, TIPS, LogColumns
@@ -58,7 +58,7 @@ def parsed(texts: Sequence[str], names: Sequence[str]) -> dict[str, str]:
                 "column",
                 "be NAME=COLUMN or NAME=COLUMN:UNIT, each name once",
                 f"{text!r}",
-                f"write for example {names[-1]}=F, where the name is one of {', '.join(names)}",
+                f"write for example {names[-1]}=F. The name is one of {', '.join(names)}",
             )
         asked[name] = column
     return asked
@@ -212,6 +212,11 @@ def suggested(missing: Sequence[str], names: Sequence[str]) -> str:
         column = columns[0] if len(columns) == 1 else "COLUMN[:UNIT]"
         flags.append(f"--column '{name}={column}'")
     return " ".join(flags)
+
+
+def the_columns(names: Sequence[str]) -> str:
+    """Return the names of columns as a phrase such as "the columns a and b"."""
+    return f"the {'column' if len(names) == 1 else 'columns'} {listed(names)}"
 
 
 def _is_like(name: str, header: str) -> bool:

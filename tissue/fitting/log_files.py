@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Numbers
-from meshes.base.errors import DamagedFileError, InputError, is_file
+from meshes.base.errors import DamagedFileError, InputError, is_file, listed
 from meshes.base.extras import install_command
 from meshes.base.file_limits import read_npz, require_memory
 from meshes.base.isolated_parser import Answer, parse_isolated
@@ -102,15 +102,17 @@ def read_columns(path: Path) -> LogColumns:
     require_memory(path.stat().st_size, path.name, "text or numbers")
     kind = path.suffix.lower()
     if kind not in READERS:
-        known = ", ".join(READERS)
-        raise InputError("measured", f"end in one of {known}", path.name, "export it as CSV")
+        known = listed(READERS, "or")
+        raise InputError(
+            "measured", f"be a file that ends in {known}", path.name, "export it as CSV"
+        )
     try:
         return READERS[kind](path)
     except (InputError, MemoryError):
         raise
     except Exception as problem:  # each reader raises other exceptions for a damaged file
         raise InputError(
-            "measured", f"be a whole {kind} file", f"{path} ({problem})", "export it again"
+            "measured", f"be a readable {kind} file", f"{path} ({problem})", "export it again"
         ) from None
 
 
@@ -124,9 +126,9 @@ def _held(columns: Mapping[str, Any]) -> LogColumns:
         if values.ndim != 1 or values.dtype.kind not in "fiu":
             raise InputError(
                 "measured",
-                f"hold numbers in the column {name}",
+                f"have numbers in the column {name}",
                 "other content",
-                "export it as numbers",
+                "export the column as numbers",
             )
         return values.astype(np.float64)
 
@@ -206,9 +208,9 @@ def _drilling(path: Path) -> LogColumns:
         if first > held.times_s[-1] or last < 0.0:
             raise InputError(
                 "measured",
-                "hold forces in the time span of the poses",
-                f"forces from {first:.6g} to {last:.6g} s after the first pose and poses for "
-                f"{held.times_s[-1]:.6g} s in {path}",
+                "have forces in the time span of the poses",
+                f"poses from 0 s to {held.times_s[-1]:.6g} s and forces from {first:.6g} s to "
+                f"{last:.6g} s in {path}",
                 "use the same clock for all time_stamps",
             )
         columns["load_time_s"] = held.load_times_s
@@ -306,9 +308,9 @@ def _matlab_object(path: Path, kind: str) -> InputError:
     """Return the error for a file with an object of a MATLAB class, such as timetable."""
     return refusal(
         path,
-        "hold arrays or structs of numbers",
-        f"the MATLAB object of class {kind}",
-        "write it in MATLAB as CSV, writetimetable(x, 'log.csv') or writetable(x, 'log.csv')",
+        "contain arrays or structs of numbers",
+        f"an object of the MATLAB class {kind}",
+        "in MATLAB, write it as CSV by writetimetable(x, 'log.csv') or writetable(x, 'log.csv')",
     )
 
 

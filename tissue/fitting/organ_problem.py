@@ -173,7 +173,7 @@ a fit.
 LEARNT = 0.1
 """Step of the constants above which slopes are corrected, in prior standard deviations."""
 UNSETTLED = (
-    "the runs and the result do not agree yet, so the intervals are not reliable: free "
+    "the runs and the result do not agree yet, so the intervals are not reliable. Free "
     "fewer constants"
 )
 FINER = 1.4
@@ -257,7 +257,7 @@ def _on_finer_mesh(
     try:
         base = runs.of(finer_scene(scene), _named(forward.parameters, forward.constants))
     except InputError as refusal:
-        return None, f"intervals are without the error of the mesh: {refusal}"
+        return None, f"the intervals do not contain the error of the mesh: {refusal}"
     share = float(np.linalg.norm(base - forward.run_loads) / np.linalg.norm(base))
     parts = []
     for rows in np.array_split(np.arange(len(base)), PARTS):

@@ -265,7 +265,10 @@ def _loads(
     found = np.column_stack([loop.trace[f"model_{name}"] for name in channels])[::every]
     if not np.isfinite(found).all():
         raise InputError(
-            "measured must hold poses that the organ's contact can follow, got one without a force"
+            "measured",
+            "contain only poses at which the contact with the organ can be computed",
+            "a pose at which the computed force is not finite",
+            "check the unit and the frame of the poses",
         )
     return np.asarray(found, dtype=np.float64)
 

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, listed
 from tissue.fitting.marginal import Marginal, marginal
 from tissue.fitting.problem import Forward, MeasuredLoads
 from tissue.fitting.target import OFFSET_S, Target, Unpacked
@@ -263,12 +263,12 @@ def require_signs(forward: Forward, log: MeasuredLoads) -> None:
     if wrong := reversed_channels(forward, log):
         raise InputError(
             "measured",
-            "hold loads on the tool, in the scene's frame",
+            "contain the loads that act on the tool, in the scene's frame",
             (
-                f"{', '.join(wrong)} with a sign that seems reversed, because the scene "
+                f"{listed(wrong)} with a sign that seems reversed, because the scene "
                 "fits the opposite sign better"
             ),
-            f"reverse the sign with --column {wrong[0]}=-COLUMN, or drop the column",
+            f"reverse the sign with --column {wrong[0]}=-COLUMN, or remove the column",
         )
 
 

@@ -146,10 +146,10 @@ def require_shallow(layer: LayerScene, deepest_m: float) -> None:
     if deepest_m > largest_m:
         raise InputError(
             "measured",
-            f"hold depths up to {1e3 * largest_m:.3g} mm ({DEEPEST:g} radii of the ball, and at "
-            f"most {THICKNESSES:g} thicknesses of the slab)",
-            f"{1e3 * deepest_m:.3g} mm",
-            "check tool.diameter_mm and anatomy.size_mm, or drop the deeper rows",
+            f"have depths of at most {1e3 * largest_m:.3g} mm, the smaller of {DEEPEST:g} radii of "
+            f"the ball and {THICKNESSES:g} thicknesses of the slab",
+            f"a depth of {1e3 * deepest_m:.3g} mm",
+            "check tool.diameter_mm and anatomy.size_mm, or remove the deeper rows",
         )
 
 
@@ -221,7 +221,7 @@ def _require(curves: Array) -> None:
             "organ.law",
             "have an equilibrium at the measured depths",
             "none",
-            "drop the deeper rows, or use another law or another thickness",
+            "remove the deeper rows, use another law, or use another thickness",
         )
 
 

@@ -10,7 +10,7 @@ from scipy.interpolate import PchipInterpolator
 from meshes.base.arrays import Array
 from meshes.base.errors import InputError
 from meshes.base.units import name_of
-from tissue.fitting.log_columns import TIMES, column_for, parsed, quantities
+from tissue.fitting.log_columns import TIMES, column_for, parsed, quantities, the_columns
 from tissue.fitting.log_files import LogColumns, refusal
 
 DEPTH = "depth_mm"
@@ -85,9 +85,9 @@ def read_presses(
         if name not in values:
             raise refusal(
                 path,
-                f"hold {name}",
-                ", ".join(found.names[:12]),
-                f"use --column {name}=COLUMN[:UNIT]",
+                f"have the column {name}",
+                the_columns(found.names[:12]),
+                f"name the column by --column {name}=COLUMN[:UNIT]",
             )
     depths = values[DEPTH]
     forces = values[FORCE]
@@ -113,22 +113,19 @@ def at_common_depths(path: Path, presses: list[Press], notes: tuple[str, ...]) -
         If a press has too few depths, or there are too few presses.
     """
     if not presses:
-        raise refusal(path, "hold presses", "none", "add rows")
+        raise refusal(path, "contain presses", "none", "add rows")
     largest = np.array([depth[-1] if len(depth) else 0.0 for depth, _ in presses])
     enough = np.array([len(depth) >= FEWEST_STEPS for depth, _ in presses])
     used = enough & (largest >= SHORT * np.median(largest))
     if used.sum() < FEWEST_PROBES:
         raise refusal(
             path,
-            (
-                f"hold at least {FEWEST_PROBES} presses, each with {FEWEST_STEPS} depths or "
-                f"more and a largest depth of at least {SHORT:.0%} of the median of all "
-                "largest depths"
-            ),
+            f"contain at least {FEWEST_PROBES} complete presses",
             f"{used.sum()}",
             (
-                "repeat the press at several places: the scatter between places determines "
-                "the intervals"
+                "repeat the press at several places. A complete press has at least "
+                f"{FEWEST_STEPS} depths, and its largest depth is at least {SHORT:.0%} of the "
+                "median of all largest depths"
             ),
         )
     if not used.all():
@@ -146,8 +143,8 @@ def at_common_depths(path: Path, presses: list[Press], notes: tuple[str, ...]) -
     if not common[-1] > 0.0 or len(common) < FEWEST_STEPS:
         raise InputError(
             "measured",
-            "hold presses whose depths overlap",
-            path.name,
+            "contain presses whose depths overlap",
+            f"presses without common depths in {path.name}",
             "check the zero of the depths",
         )
     forces = np.stack([PchipInterpolator(depth, force)(common) for depth, force in kept])

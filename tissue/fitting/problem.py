@@ -96,7 +96,10 @@ def chosen(
         ]
         if not found:
             raise InputError(
-                "free", "name constants of this log", pattern, f"choose among {', '.join(words)}"
+                "free",
+                "name constants that can be fitted to this log",
+                pattern,
+                f"choose among {', '.join(words)}",
             )
         selected.update(found)
     return [each for each in possible if not free or each.name in selected]
@@ -289,9 +292,9 @@ def block_averages(
     if len(samples) and samples.min() < FEWEST:
         raise InputError(
             "values",
-            f"hold at least {FEWEST} samples of each channel",
+            f"have at least {FEWEST} averaged samples of each channel",
             f"{samples.min()} of {channels[int(np.argmin(samples))]}",
-            "leave the channel out or give a longer log",
+            "remove the channel, or give a longer log",
         )
 
     starts = times_s[0] + block_s * np.arange(count)

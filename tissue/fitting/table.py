@@ -9,10 +9,10 @@ import numpy as np
 from scipy.sparse import csr_array, eye_array
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, listed
 from meshes.base.units import column_of
 from tissue.fitting.cutting import CuttingForward, forward_of
-from tissue.fitting.log_columns import parsed, quantities
+from tissue.fitting.log_columns import parsed, quantities, the_columns
 from tissue.fitting.log_files import LogColumns, refusal
 from tissue.fitting.problem import MeasuredLoads
 from tissue.fitting.target import Target, Unpacked
@@ -121,36 +121,40 @@ def read_table(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> St
     values, unused = quantities(found, parsed(columns, tuple(MEASURES)), MEASURES, notes)
     if unused:
         raise refuse(
-            f"hold one column each of {', '.join(MEASURES)}, in any unit",
-            ", ".join(unused[:12]),
-            "rename these columns or leave them out",
+            f"have only the columns {listed(MEASURES)}, in any unit",
+            the_columns(unused[:12]),
+            "rename or remove these columns",
         )
     feeds = [name for name in FEEDS if name in values]
     if len(feeds) != 1:
         raise refuse(
-            f"hold one column of {', '.join(FEEDS)}",
-            " and ".join(feeds) or "none",
-            "state the feed once",
+            f"have exactly one column of {listed(FEEDS)}",
+            listed(feeds) or "none",
+            "give the feed in one column",
         )
     if feeds[0] == FEEDS[0] and SPIN not in values:
-        raise refuse(f"hold {SPIN} with {feeds[0]}", "none", f"add {SPIN}, or give {FEEDS[1]}")
+        raise refuse(
+            f"have the column {SPIN} with the column {feeds[0]}",
+            "none",
+            f"add {SPIN}, or use the column {FEEDS[1]}",
+        )
     loads = [name for name in CHANNELS if name in values]
     scatters = [name for name in SCATTERS.values() if name in values]
     if not loads or scatters not in ([], [SCATTERS[name] for name in loads]):
         raise refuse(
-            "hold a thrust_N or a torque_Nm, and a scatter of each load or of no load",
-            ", ".join(found.names),
-            f"state each load, and {' and '.join(SCATTERS.values())} or none of them",
+            "have the column thrust_N or torque_Nm, and a scatter for every load or for no load",
+            the_columns(found.names),
+            f"add the missing column, or remove {listed(SCATTERS.values())}",
         )
     for name, each in values.items():
         wrong = np.flatnonzero(~(np.isfinite(each) & (each > 0.0)))
         if len(wrong):
             value = f"another value in row {wrong[0] + 1}"
-            raise refuse(f"hold numbers above 0 as {name}", value, "correct or remove that row")
+            raise refuse(f"have numbers above 0 in {name}", value, "correct or remove that row")
     feed_m = values[feeds[0]]
     if len(feed_m) < FEWEST_ROWS:
         raise refuse(
-            f"hold {FEWEST_ROWS} rows or more", "1 row", "add rows of other feeds or speeds"
+            f"have {FEWEST_ROWS} rows or more", "1 row", "add rows of other feeds or speeds"
         )
     if feeds[0] == FEEDS[0]:
         feed_m = 60.0 * feed_m / values[SPIN]
@@ -196,7 +200,7 @@ def table_forward(scene: Scene, table: SteadyTable, free: Sequence[str] = ()) ->
     if not isinstance(scene.anatomy, BlockAnatomy):
         raise InputError(
             "anatomy.kind",
-            "be block, a block of bone of one density, for a table of steady loads",
+            "be block (bone of one density) for a table of steady loads",
             scene.anatomy.kind,
             "use a scene such as milling",
         )
@@ -208,7 +212,7 @@ def table_forward(scene: Scene, table: SteadyTable, free: Sequence[str] = ()) ->
     if thickest_m > cutter.profile.radius_m:
         raise refusal(
             table.path,
-            f"hold feeds below the drill's radius per tooth ({tool.diameter_mm / 2.0:g} mm)",
+            f"have feeds per tooth below the drill's radius of {tool.diameter_mm / 2.0:g} mm",
             f"{1e3 * thickest_m:.3g} mm",
             "give the unit of the feed in the name of its column, such as feed_mm_min",
         )

@@ -209,7 +209,7 @@ def parse_header(header: bytes | bytearray) -> Header:
         raise IgtlError(f"a header of version {version}")
     kind, name = (text.split(b"\0")[0].decode("ascii", "replace").strip() for text in (kind, name))
     if not kind or not (kind + name).isascii() or not (kind + name).isprintable():
-        raise IgtlError("a header whose type or name is no ASCII text")
+        raise IgtlError("a header whose type or name is not ASCII text")
     # fractions of a second in units of 2**-32 s
     return Header(version, kind, name, seconds + fraction / 2**32, size, crc)
 
@@ -223,7 +223,7 @@ def content_of(header: Header, body: bytes | bytearray) -> bytes:
         If the checksum does not match, or the sizes contradict each other.
     """
     if crc64(body) != header.crc:
-        raise IgtlError("a message with another checksum than its body has")
+        raise IgtlError("a message whose checksum does not match its body")
     # version 1 has no extended header
     if header.version == 1:
         return bytes(body)
@@ -232,7 +232,7 @@ def content_of(header: Header, body: bytes | bytearray) -> bytes:
     first, index, values, _ = EXTENDED.unpack(body[: EXTENDED.size].ljust(EXTENDED.size, b"\0"))
     last = len(body) - index - values
     if not EXTENDED.size <= first <= last:
-        raise IgtlError("an extended header with sizes that its message does not have")
+        raise IgtlError("an extended header whose sizes do not match its message")
     return bytes(body[first:last])
 
 
@@ -257,7 +257,7 @@ def parse_transform(content: bytes) -> Array:
         raise IgtlError(f"a TRANSFORM of {len(content)} bytes instead of 48")
     values = np.frombuffer(content, ">f4")
     if not np.isfinite(values).all():
-        raise IgtlError("a TRANSFORM that is not finite")
+        raise IgtlError("a TRANSFORM with numbers that are not finite")
     matrix = np.eye(4)
     matrix[:3] = values.reshape(4, 3).T
     return matrix

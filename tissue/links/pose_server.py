@@ -103,7 +103,10 @@ def serve_ros2(
         ros = RosNode("measured_cp", "measured_cf")
     except ImportError as missing:
         raise InputError(
-            "--ros2", "have the packages of ROS 2", str(missing), "source its setup.bash"
+            "--ros2",
+            "be used with the packages of ROS 2",
+            f"the error {missing}",
+            "source the setup.bash of ROS 2 first",
         ) from None
     place_of, force_of = ros.kinds.values()
     answers = 0

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, by, counted, names_of_caller, require_range
+from meshes.base.errors import InputError, by, counted, listed, names_of_caller, require_range
 from meshes.base.file_limits import memory_limit
 from meshes.base.hints import suggests_arguments
 from meshes.shapes.anatomy import (
@@ -104,7 +104,10 @@ class Bone:
         changes = options.get("cutting") or {}
         if not isinstance(changes, Mapping):
             raise InputError(
-                "cutting", "map names to coefficients", type(changes).__name__, "use a dict"
+                "cutting",
+                "be a dictionary of names and coefficients",
+                f"an object of type {type(changes).__name__}",
+                "use a dict",
             )
         table = {"material": options.get("material"), **changes}
         cutting = stated(Cutting, table, prefix="cutting.")
@@ -173,9 +176,9 @@ class Bone:
         if path.suffix.lower() not in SURFACE_SUFFIXES:
             raise InputError(
                 "file",
-                f"be a surface ({' '.join(SURFACE_SUFFIXES)})",
+                f"be a surface file that ends in {listed(SURFACE_SUFFIXES, 'or')}",
                 path.name,
-                "read an image by Bone.from_image",
+                "to read an image, use Bone.from_image",
             )
         with names_of_caller({"anatomy.scale_mm": "scale_mm"}):
             surface = read_surface(path, scale_mm=scale_mm, cut_off=True)
@@ -424,8 +427,8 @@ class Bone:
             raise InputError(
                 "tool",
                 "be a cutter",
-                type(tool).__name__,
-                "make a cutter by tissue.cutters.ball_burr",
+                f"an object of type {type(tool).__name__}",
+                "make a cutter, for example with tissue.cutters.ball_burr",
             )
         width_mm = 2e3 * tool.profile.radius_m
         # Fewer than four voxels across a tool do not show its shape. The suggestion has twenty
@@ -433,9 +436,9 @@ class Bone:
         if width_mm < 4.0 * self.spacing_mm:
             raise InputError(
                 "tool",
-                f"be at least four voxels of {self.spacing_mm:g} mm wide",
-                f"{width_mm:.3g} mm",
-                f"give the bone spacing_mm = {width_mm / 20:.2g}",
+                f"be at least four voxels wide, with voxels of {self.spacing_mm:g} mm",
+                f"a width of {width_mm:.3g} mm",
+                f"make the bone with spacing_mm={width_mm / 20:.2g}",
             )
 
     def uncut(self) -> "Bone":

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, listed
 from meshes.base.hints import suggests_arguments
 from tissue.evaluation.calibration.answers import Answer, simulated_answers
 from tissue.evaluation.calibration.observers import (
@@ -68,7 +68,12 @@ def alike(count: int, **truth: float) -> SimulatedObservers:
     typical = reference_observer()
     names = ("alpha", "beta", "kappa", "offset_N", "lapse", "sigma")
     if strange := sorted(set(truth) - set(names)):
-        raise InputError("truth", f"hold only {', '.join(names)}", strange[0], "use one of these")
+        raise InputError(
+            "truth",
+            f"have only the keys {listed(names)}",
+            f"the key {strange[0]}",
+            "rename or remove it",
+        )
     values: dict[str, Any] = {}
     for name in names:
         value = truth.get(name, getattr(typical, name))

@@ -7,7 +7,7 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, counted
 from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import unknown_name
 from meshes.base.whole_file import write_text
@@ -79,7 +79,12 @@ class Comparison:
 
     def __init__(self, runs: Mapping[str, Run], *, legend: Legend = "values") -> None:
         if len(runs) < 2:
-            raise InputError("compare", "be given at least two runs", len(runs), "name another run")
+            raise InputError(
+                "compare",
+                "be given at least two runs",
+                counted(len(runs), "run"),
+                "name another run",
+            )
         self.runs = dict(runs)
         self.figures = {name: _figures(run) for name, run in runs.items()}
         differences = scene_differences(*(run.scene for run in runs.values()))
@@ -365,7 +370,10 @@ def compare(*runs: Run | str | Path, names: Sequence[str] | None = None) -> Comp
     called = _names(held) if names is None else [*names]
     if len(called) != len(held) or len(set(called)) != len(called):
         raise InputError(
-            "names", f"be {len(held)} different names, one for each run", called, "change the names"
+            "names",
+            f"be {len(held)} different names, one for each run",
+            called,
+            "give each run its own name",
         )
     legend: Legend = "values"
     if names is not None:

@@ -100,9 +100,9 @@ def _require_chips(model: BoneModel, number: int) -> None:
     if thickest_mm > radius_mm:
         raise InputError(
             "times_s",
-            f"give chips for each tooth thinner than the tool's radius of {radius_mm:.3g} mm",
-            f"{thickest_mm:.3g} mm at pose {number}; the bone is cut up to this pose",
-            "use a slower feed or a higher speed of the tool",
+            f"make each tooth's chip thinner than the tool's radius of {radius_mm:.3g} mm",
+            f"a chip of {thickest_mm:.3g} mm at pose {number}",
+            "use a slower feed or a higher spin_rpm of the tool. The bone is cut up to this pose",
         )
 
 
@@ -133,13 +133,13 @@ def feed_along(points_mm: ArrayLike, feed_mm_s: float) -> tuple[Array, Array]:
             "points_mm",
             "be finite numbers of shape (k, 3)",
             f"an array of shape {corners.shape}",
-            "give x, y, z of each corner",
+            "give x, y and z of each corner",
         )
     feed = require_positive("feed_mm_s", feed_mm_s, "use about 2")
     if not np.diff(corners, axis=0).any():
         raise InputError(
             "points_mm",
-            "hold two different points",
+            "contain at least two different points",
             "only one",
             "add the point to which the tool moves",
         )
@@ -179,7 +179,7 @@ def poses_of(poses: ArrayLike, axis: ArrayLike | None) -> tuple[Array, Rotation]
             "axis",
             "be left out for poses with rotations",
             "an axis for such poses",
-            "leave axis out",
+            "remove it, because the rotations contain the axis of the tool",
         )
     return tips, Rotation.from_matrix(turns)
 
@@ -198,9 +198,11 @@ def times_of(times_s: ArrayLike, count: int) -> Array:
     if not is_whole or (np.diff(times) <= 0.0).any():
         raise InputError(
             "times_s",
-            "increase and have one time for each of at least two poses",
-            f"times of shape {times.shape} for {count} poses",
-            "compute poses and times by feed_along",
+            "be increasing times, one for each of at least two poses",
+            "times that do not increase"
+            if is_whole
+            else f"times of shape {times.shape} for {count} poses",
+            "compute poses and times with feed_along",
         )
     return times
 
@@ -237,16 +239,16 @@ def clearance_of(
     if not isinstance(structures, Mapping):
         raise InputError(
             "keep_clear",
-            "be a mapping of names to surfaces",
-            f'{type(structures).__name__}: give {{"nerve"',
-            '"nerve.stl"}',
+            "be a dictionary of names and surfaces",
+            f"an object of type {type(structures).__name__}",
+            'use for example {"nerve": "nerve.stl"}',
         )
     found = {}
     for name, surface in structures.items():
         if not NAME.fullmatch(str(name)):
             raise InputError(
                 "keep_clear",
-                "have names of lower-case letters, digits and underscores",
+                "have names that contain only lower-case letters, digits and underscores",
                 f"{name!r}",
                 "use a name such as facial_nerve",
             )
@@ -363,9 +365,9 @@ class Cut:
         if column not in self.trace.columns:
             raise InputError(
                 "name",
-                "be a structure given as keep_clear",
+                "be a structure of keep_clear",
                 name,
-                "give this structure to Bone.cut",
+                "add this structure to keep_clear of Bone.cut",
             )
         return np.asarray(self.trace[column])
 

@@ -355,15 +355,15 @@ class Loop:
         if not self._device.held.entered:
             raise InputError(
                 "loop",
-                "be open to step with a device",
+                "be open before a step with a device",
                 "a loop that is not open",
-                "use the loop in `with loop:`",
+                "call step inside `with loop:`",
             )
         if self.ticks == self._most:
             raise InputError(
                 "longest_s",
-                "be at least the time of all ticks",
-                f"{TICK_S * self._most:g} s, which have run",
+                "be at least the duration of all steps",
+                f"{TICK_S * self._most:g} s, which is used up",
                 "make the loop with a larger longest_s",
             )
         if self._keep_ready is not None:
@@ -455,7 +455,7 @@ class Loop:
         """
         device = self._device
         if device is None:
-            raise InputError("run", "have a device", "none", "move the tool by step(pose)")
+            raise InputError("run", "have a device", "no device", "move the tool by step(pose)")
         count = round(
             require_range("seconds", seconds, TICK_S, LONGEST_S, "use a value such as 10") / TICK_S
         )

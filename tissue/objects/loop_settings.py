@@ -10,7 +10,13 @@ from typing import TypedDict
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, by, names_of_caller, require_positive, require_range
+from meshes.base.errors import (
+    InputError,
+    in_brackets,
+    names_of_caller,
+    require_positive,
+    require_range,
+)
 from tissue.cutters import Cutter, ball_burr
 from tissue.haptics.device.device import Device, DeviceParameters, device_parameters
 from tissue.haptics.hand_motion import HandMotion, Script
@@ -182,9 +188,9 @@ def _settings_of(
     if file is not None and name is None:
         raise InputError(
             "predictor_file",
-            "be given with the name of a predictor",
-            repr(predictor),
-            "give the name of a predictor",
+            "be given only if predictor is a name",
+            f"predictor={predictor!r}",
+            "set predictor to a name, or remove predictor_file",
         )
     if predictor is not None and name is None:
         own = type(predictor).__name__
@@ -243,8 +249,8 @@ def tissue_of(tissue: Bone | Organ | Scene | str) -> Bone | Organ | Scene:
         raise InputError(
             "tissue",
             "be a Bone, an Organ, a scene or its name",
-            type(found).__name__,
-            "make one of these",
+            f"an object of type {type(found).__name__}",
+            "give one of these",
         )
     return found
 
@@ -295,15 +301,18 @@ def checked_tool(
         return burr
     if keep_clear:
         raise InputError(
-            "keep_clear", "be left out for an organ", "structures", "use keep_clear for bone"
+            "keep_clear",
+            "be left out for an organ",
+            "structures",
+            "remove it, because only a bone accepts it",
         )
     pressing = tool or ball(diameter_mm=10)
     if not isinstance(pressing, PressingTool):
         raise InputError(
             "tool",
             "be a tool that presses an organ",
-            type(tool).__name__,
-            "make a tool by tissue.ball; a needle or a blade enters only the tissue of a scene, "
+            f"an object of type {type(tool).__name__}",
+            "make a tool with tissue.ball. A needle or a blade works only in a scene, "
             "such as tissue.Loop('needle')",
         )
     return pressing
@@ -352,9 +361,10 @@ def start_above(tissue: Bone | Organ, tool: Cutter | PressingTool, axis: Array) 
     if np.size(found) == 0:
         raise InputError(
             "start_mm",
-            f"be given where nothing lies under the middle {by(middle, '.4g')} mm",
+            "be given, because the line along axis through the middle "
+            f"{in_brackets(middle, '.4g')} mm does not meet the surface",
             "none",
-            "give a place above the surface",
+            "give a point above the surface",
         )
     # pyvista does not sort the points along the ray.
     points = np.asarray(found, dtype=np.float64).reshape(-1, 3)

@@ -412,7 +412,7 @@ class Organ:
                 given,
                 "be left out for an organ that does not relax",
                 hold_s or speed_mm_s,
-                "make the organ with relaxation",
+                "remove it, or make the organ with relaxation",
             )
         depth = require_positive("depth_mm", depth_mm, "use a third of the tool's radius")
         return press_at(
@@ -424,7 +424,7 @@ class Organ:
             depth_m=1e-3 * depth,
             speed_m_s=1e-3
             * require_positive("speed_mm_s", speed_mm_s or SPEED_MM_S, "use a value such as 10"),
-            hold_s=require_range("hold_s", hold_s, 0.0, 3600.0, "use 0 for none"),
+            hold_s=require_range("hold_s", hold_s, 0.0, 3600.0, "use 0 for no hold"),
             report=progress,
         )
 

@@ -283,7 +283,10 @@ def _place(trace: "Table", over: Over, name: str) -> tuple[Ints, Array]:
     contact, height = _heights(trace)
     if not contact.any():
         raise InputError(
-            "runs", "touch the tissue to be drawn over depth", f"{name} without contact", "use time"
+            "runs",
+            "have contact with the tissue to be drawn over depth",
+            f"{name}, which has no contact",
+            "draw the runs over time",
         )
     rows = deepening_rows(height, contact)
     return rows, np.maximum.accumulate(height[contact.argmax()] - height[rows])

@@ -8,7 +8,7 @@ from itertools import chain
 from numbers import Real
 from typing import Any
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, listed
 from meshes.base.hints import nearest
 from meshes.base.text_tables import shown
 from tissue.scene.registry import CUTTERS, TABLES
@@ -52,9 +52,9 @@ def check_callable(kind: str, given: str, part: object, methods: Sequence[str] =
     if missing:
         raise InputError(
             f"{kind} {given}",
-            f"have {' and '.join(methods)}",
-            f"{part.__name__} without {' and '.join(missing)}",
-            f"add {' and '.join(missing)}",
+            f"have the methods {listed(methods)}",
+            f"{part.__name__} without {listed(missing)}",
+            f"add {listed(missing)}",
         )
 
 
@@ -65,9 +65,9 @@ def check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
         if key not in known:
             raise InputError(
                 "keys",
-                f"hold only {', '.join(sorted(known))}",
+                f"contain only {listed(sorted(known))}",
                 shown(key),
-                "use one of a tool's keys",
+                "choose among these keys",
             )
     sizes = ["diameter_m", *(key.replace("_mm", "_m").replace("_deg", "_rad") for key in keys)]
     try:
@@ -75,9 +75,9 @@ def check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
     except TypeError as error:
         raise InputError(
             f"tool {given}",
-            f"accept {' and '.join(sizes)}",
-            f"a tool that does not ({error})",
-            "rename its arguments to these",
+            f"accept the arguments {listed(sizes)}",
+            f"a function with other arguments ({error})",
+            "rename its arguments",
         ) from None
 
 
@@ -90,9 +90,9 @@ def check_parameters(kind: str, given: str, part: Any) -> None:
     if not is_part or "kind" not in part.model_fields or kinds_of(part) != (given,):
         raise InputError(
             f"parameters of the {kind} {given}",
-            "be a subclass of tissue.scene.anatomy.Part of this kind",
+            f"be a subclass of tissue.scene.anatomy.Part with the kind {given}",
             shown(part),
-            f'derive the class from Part and write kind: Literal["{given}"] = "{given}"',
+            f'derive the class from Part, with the field kind: Literal["{given}"] = "{given}"',
         )
 
 
@@ -103,20 +103,22 @@ def checked_numbers(
     if isinstance(numbers, kind):
         return asdict(numbers)
     if not isinstance(numbers, Mapping):
-        entries = " and ".join(needed) or "numbers by name"
+        entries = listed(needed) or "names and numbers"
         wanted = f"be {kind.__name__} or a mapping with {entries}"
-        raise InputError(of, wanted, shown(numbers), "give names and values")
+        raise InputError(of, wanted, shown(numbers), "give a dict of names and values")
     known = [field.name for field in fields(kind)]
     if strange := [each for each in numbers if each not in known]:
-        given = f"{shown(strange[0])}{nearest(str(strange[0]), known)}"
-        raise InputError(of, f"hold only {', '.join(known)}", given, "rename or remove it")
+        given = f"the entry {shown(strange[0])}{nearest(str(strange[0]), known)}"
+        raise InputError(of, f"have only the entries {listed(known)}", given, "rename or remove it")
     if missing := [each for each in needed if each not in numbers]:
-        lacking = " and ".join(missing)
+        lacking = listed(missing)
         raise InputError(
-            of, f"have {' and '.join(needed)}", f"none for {lacking}", f"add {lacking}"
+            of, f"have the entries {listed(needed)}", f"no value for {lacking}", f"add {lacking}"
         )
     for each, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, Real):
-            raise InputError(each, "be a number", shown(value), "give it in the unit of its name")
+            raise InputError(
+                each, "be a number", shown(value), "give it in the unit that its name states"
+            )
     kind(**numbers)
     return {name: float(value) for name, value in numbers.items()}

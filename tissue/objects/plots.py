@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, listed
 from meshes.base.hints import nearest
 from tissue.objects.trace import Trace
 from tissue.show.figures.figure import COMPONENTS, MAGNITUDE, field_words, plain, styled
@@ -46,8 +46,8 @@ def plot_columns(
     if ax is not None and len(wanted) > 1:
         raise InputError(
             "ax",
-            "take columns of one unit",
-            ", ".join(wanted),
+            "be given for columns of one unit",
+            f"columns with the units {listed(unit or 'none' for unit in wanted)}",
             "give columns of one unit, or leave ax out",
         )
     panels = new_panels(len(wanted)) if ax is None else np.array([ax])
@@ -87,14 +87,17 @@ def chosen_panels(trace: Trace, columns: Iterable[str] | None) -> dict[str, list
             known = [each for each in trace if each != "layer"]
             raise InputError(
                 "columns",
-                "name columns of the trace that hold numbers",
+                "name columns of numbers in the trace",
                 f"{name}{nearest(name, known)}",
-                f"use some of {', '.join(known)}",
+                f"choose among {', '.join(known)}",
             )
         found.setdefault(field_label(name)[1], []).append(name)
     if not found:
         raise InputError(
-            "columns", "name at least one column", "none", "leave columns out for force and torque"
+            "columns",
+            "name at least one column",
+            "none",
+            "to plot force and torque, leave columns out",
         )
     return found
 

@@ -336,7 +336,7 @@ def press_at(
     notes = {}
     # Adding 0.0 turns -0.0 into 0.0.
     nearest = in_brackets(np.round(1e3 * point, 3) + 0.0)
-    found = f"the nearest point of the surface, {nearest} mm, is {1e3 * away:.3g} mm away"
+    found = f"use the nearest point of the surface, {nearest} mm, which is {1e3 * away:.3g} mm away"
     if away > LARGEST_OFFSET_RATIO * size:
         raise InputError("at_mm", "lie on the surface", in_brackets(1000.0 * at_m, ".4g"), found)
     if away > NEAR_M:
@@ -348,7 +348,7 @@ def press_at(
     if direction @ normal >= 0.0:
         inward = in_brackets(0.0 - normal, ".2g")
         raise InputError(
-            "along", "lead into the organ", in_brackets(direction, ".3g"), f"use {inward}"
+            "along", "point into the organ", in_brackets(direction, ".3g"), f"use {inward}"
         )
     with names_of_caller(WORDS):
         curve = press(organ, probe, point, frame_along(-direction), **moves)
@@ -377,12 +377,12 @@ def _require_growing(curve: PressCurve, *, relaxes: bool) -> None:
         if falls.size and size.any()
         else 0.0
     )
-    remedy = f"press {most:.2g} mm at most" if most else "press less"
+    remedy = f"use at most {most:.2g} mm" if most else "use a smaller depth"
     raise InputError(
         "depth_mm",
         "be a depth up to which the force increases",
-        f"{1e3 * curve.depth_m[-1]:.3g}, where the force falls, which no real tissue does",
-        f"{remedy}, or refine the organ there",
+        f"{1e3 * curve.depth_m[-1]:.3g}, where the computed force decreases, unlike in real tissue",
+        f"{remedy}, or refine the organ near the contact",
     )
 
 

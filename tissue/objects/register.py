@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from meshes.base.errors import InputError
+from meshes.base.errors import listed as joined
 from meshes.base.file_limits import require_regular
 from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import read_toml
@@ -373,8 +374,8 @@ def _add_materials(path: Path) -> tuple[str, ...]:
     if not found or any(table not in ("cutting", "soft") for table in found):
         raise InputError(
             "material",
-            "have tables cutting and soft",
-            f"{', '.join(found) or 'none'} in {path}",
+            "have only the tables cutting and soft",
+            f"{joined(found) or 'none'} in {path}",
             "use these two tables",
         )
     for table, materials in found.items():
@@ -394,24 +395,31 @@ def _require_material(path: Path, table: str, material: str, entries: dict[str, 
     """Raise an error if a material's name is in use, or a constant or source is missing."""
     where = f"{table}.{material}"
     if not re.fullmatch(NAME, material) or material in listed(table):
-        known = ", ".join(listed(table))
+        known = joined(listed(table))
         raise InputError(
             table,
-            f"name materials other than {known}, in lower-case letters, digits, - and _",
+            "have new names of lower-case letters, digits, - and _ for its materials, other than "
+            f"{known}",
             f"{material} in {path}",
             "choose another name",
         )
     cutting = tuple(name for name in constants("cutting", "bone") if name not in LINEAR)
     needed = cutting if table == "cutting" else SOFT
-    missing = ", ".join(each for each in needed if each not in entries)
+    missing = joined(each for each in needed if each not in entries)
     if missing:
         raise InputError(
-            where, f"have {', '.join(needed)}", f"none for {missing} in {path}", f"add {missing}"
+            where,
+            f"have the constants {joined(needed)}",
+            f"no value for {missing} in {path}",
+            f"add {missing}",
         )
-    extra = ", ".join(each for each in entries if each not in needed)
+    extra = joined(each for each in entries if each not in needed)
     if extra and table == "cutting":
         raise InputError(
-            where, f"have only {', '.join(needed)}", f"{extra} in {path}", f"remove {extra}"
+            where,
+            f"have only the constants {joined(needed)}",
+            f"{extra} in {path}",
+            f"remove {extra}",
         )
     for constant, entry in entries.items():
         checked_constant(f"{where}.{constant}", entry, str(path))
@@ -425,5 +433,5 @@ def _table(path: Path, kind: str) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(
-            kind, "be a TOML file", f"{path} ({reason})", "check the path and fix it"
+            kind, "be a readable TOML file", f"{path} ({reason})", "check the path, or fix the file"
         ) from None

@@ -390,7 +390,10 @@ def _view_of(
         )
     elif interactive and screenshot is not None:
         raise InputError(
-            "screenshot", "be left out with interactive", screenshot, "leave one of them out"
+            "screenshot",
+            "be left out with interactive",
+            screenshot,
+            "remove one of these two arguments",
         )
     if interactive and not notebook:
         view(folder, Choice(**chosen))
@@ -398,8 +401,8 @@ def _view_of(
     if interactive and not _is_interactive():
         raise InputError(
             "trame",
-            "be installed to turn a picture in a notebook",
-            "none",
+            "be installed to rotate a picture in a notebook",
+            "a Python environment without it",
             f"run {install_command('notebook')}",
         )
     with TemporaryDirectory(prefix="tissue-") as place:
@@ -505,7 +508,7 @@ def report(
         # The module takes long to import, and most reports do not need it.
         from tissue.objects.loop_settings import leave_out
 
-        leave_out(given, "without a reference run", remedy="give against, or remove it")
+        leave_out(given, "without a reference run", remedy="give against, or remove this argument")
     if isinstance(run, Run):
         if out is None:
             if run.path is None:

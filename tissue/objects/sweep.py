@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, require_range
+from meshes.base.errors import InputError, counted, listed, require_range
 from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress
 from meshes.base.text_tables import shown
@@ -192,14 +192,14 @@ class Sweep:
         known = self.figure_names
         if unknown := [name for name in names if name not in known]:
             raise InputError(
-                "figures", f"be some of {', '.join(known)}", unknown[0], "choose from these"
+                "figures", f"be among {listed(known)}", unknown[0], "choose from these names"
             )
         if not names or len(self.keys) not in (1, 2):
             raise InputError(
                 "plot",
-                "have figures that differ between runs, and one or two keys",
-                f"{len(names)} figures and {len(self.keys)} keys",
-                "use the table of the sweep",
+                "have one or two keys, and at least one figure that differs between runs",
+                f"{counted(len(self.keys), 'key')} and {counted(len(names), 'figure')}",
+                "read the results from the table of the sweep",
             )
         over, *second = self.keys
         lines: dict[str, list[Point]] = {}
@@ -354,11 +354,11 @@ def planned(
         If a key has no values, if there are more than `MOST_RUNS` combinations, or if all
         combinations with a certain value are invalid.
     """
-    listed = {key: _listed(key, values) for key, values in changes.items()}
-    count = prod(len(values) for values in listed.values())
-    require_range("runs of a sweep", count, 1, MOST_RUNS, "give fewer values")
-    fixed = {key: values[0] for key, values in listed.items() if len(values) == 1}
-    swept = {key: values for key, values in listed.items() if len(values) > 1}
+    given = {key: _listed(key, values) for key, values in changes.items()}
+    count = prod(len(values) for values in given.values())
+    require_range("number of runs", count, 1, MOST_RUNS, "give fewer values")
+    fixed = {key: values[0] for key, values in given.items() if len(values) == 1}
+    swept = {key: values for key, values in given.items() if len(values) > 1}
     base = scene if isinstance(scene, Scene) else load_scene(scene)
     words = [_words(key, values, swept) for key, values in swept.items()]
     found: dict[str, SweptRun] = {}
@@ -438,8 +438,8 @@ def _unfinished(
         if begun and not overwrite and not _holds(each.path, each.scene):
             raise InputError(
                 "out",
-                "hold runs of this scene",
-                f"another scene in {each.path}",
+                "contain only runs of this scene",
+                f"a run of another scene in {each.path}",
                 "pass --overwrite (overwrite=True in Python) to replace it or choose another --out",
             )
         summary = summary_of(each.path)

@@ -103,7 +103,7 @@ def probe_from_file(file: str | Path, *, scale_mm: float = 1.0) -> PressingTool:
 def _round(kind: str, name: str, diameter_mm: float) -> PressingTool:
     from tissue.scene.tool import probe_part
 
-    diameter = require_range("diameter_mm", diameter_mm, *SIZES_MM, "a fingertip has about 16")
+    diameter = require_range("diameter_mm", diameter_mm, *SIZES_MM, "use about 16 for a fingertip")
     return PressingTool(
         probe_part(kind=kind, diameter_mm=diameter), f"{name}(diameter_mm={diameter:g})"
     )

@@ -126,7 +126,10 @@ def needed(name: str, *, extra: str) -> Any:
         if missing.name is None or missing.name.split(".")[0] != name.split(".")[0]:
             raise
         raise InputError(
-            name, "be installed for this", "none", f"run {install_command(extra)}"
+            name,
+            "be installed for this conversion",
+            "a Python environment without it",
+            f"run {install_command(extra)}",
         ) from None
 
 

@@ -214,7 +214,7 @@ class BlockImage(Block, ImageAnatomy):
         Without `centre_mm`, the key `along` and the keys for a cortical shell and a guide hole have
         no effect.
         """
-        whole = Idle("for an image as it is, without anatomy.centre_mm", "set anatomy.centre_mm")
+        whole = Idle("for an image that is used as a whole", "set anatomy.centre_mm")
         placing = (
             "along",
             "cortical_thickness_mm",

@@ -54,9 +54,9 @@ class Hardware(Part):
         if self.clutch_button is not None and self.clutch_button == self.force_button:
             raise InputError(
                 "hardware.clutch_button",
-                "not be hardware.force_button",
+                "differ from hardware.force_button",
                 f"{self.clutch_button} for both",
-                "use another button for one of them",
+                "use another button for one of the two",
             )
 
 
@@ -138,7 +138,7 @@ class Device(Part):
         is_trained = self.prediction == "koopman-online" or (
             self.prediction != "none" and PREDICTORS[self.prediction].trained
         )
-        simulated = f"with device = {self.kind}, which no adapter opens"
+        simulated = f"with device = {self.kind}, for which there is no adapter"
         koopman = "set prediction = koopman"
         yield "hardware", not entry.has_adapter, simulated, "set device = haply"
         yield (
@@ -148,12 +148,12 @@ class Device(Part):
             "set device = six-dof",
         )
         yield "coupling.prediction_gain", self.prediction == "none", "without a prediction", koopman
-        hold = "with prediction = hold, the present force"
+        hold = "with prediction = hold, which uses the present force"
         yield "coupling.prediction_gain", self.prediction == "hold", hold, koopman
         yield (
             "coupling.predictor_file",
             not is_trained,
-            "unless a trained prediction is used",
+            "unless prediction is a trained predictor",
             koopman,
         )
 
@@ -176,7 +176,7 @@ class Fidelity(Part):
         if self.force_error is None and self.tick_ms is None:
             raise InputError(
                 "fidelity",
-                "state an error or a time",
-                "nothing",
-                "use for example force_error = 0.03 or tick_ms = 0.7",
+                "have force_error or tick_ms",
+                "neither",
+                "add for example force_error = 0.03 or tick_ms = 0.7",
             )

@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from meshes.base.errors import InputError, is_file
+from meshes.base.errors import PRESENT, InputError, is_file
 from meshes.base.hints import nearest, suggests_arguments
 from meshes.base.text_tables import DEEPEST, read_text, read_toml, require_shallow, shown
 from meshes.base.whole_file import package_version, require_version
@@ -87,7 +87,7 @@ def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
     stated = {name: table[name] for name in ("format", "tissue") if name in table}
     # Files of version 0.2 contain no version. They count as format 1.
     version = require_version(
-        "scene", {"format": 1} | stated, FORMAT, where=path, remedy="leave format out"
+        "scene", {"format": 1} | stated, FORMAT, where=path, remedy="remove the key format"
     )
     may_be_idle = was_kept and version < FIRST_WITHOUT_IDLE_KEYS
     table = {name: value for name, value in table.items() if name not in stated}
@@ -95,9 +95,8 @@ def converted(table: dict[str, Any], path: Path) -> tuple[dict[str, Any], bool]:
     name = table.get("device")
     if isinstance(name, str) or moved:
         warnings.warn(
-            f"{path.name} has the form of tissue 0.2. Its device, hand and coupling were "
-            "read as a table [device]; see "
-            "`tissue scenes wall` for the new form.",
+            f"{path.name} has the format of tissue 0.2. Its keys for the device, the hand and the "
+            "coupling were read as a table [device]. See `tissue scenes wall` for the new format.",
             OldSceneWarning,
             # Level 4 is the caller of `load_scene`, which has a decorator.
             stacklevel=4,
@@ -171,7 +170,7 @@ def scene_text(name: str) -> str:
         raise InputError(why)
     names = scene_names()
     inside = Path(name) / "scene.toml"
-    remedy = f"use {inside}" if is_file(inside) else "list them with `tissue scenes`"
+    remedy = f"use {inside}" if is_file(inside) else "list the names with `tissue scenes`"
     raise InputError(
         "scene",
         f"be a built-in name ({', '.join(names)}) or a TOML file",
@@ -237,12 +236,8 @@ def _parsed(text: str, path: Path) -> dict[str, Any]:
     try:
         return read_toml(text)
     except tomllib.TOMLDecodeError as error:
-        message = f"{error}"
         raise InputError(
-            "scene",
-            "be valid TOML",
-            f"{message[:1].lower()}{message[1:]} in {path}",
-            "fix the file",
+            "scene", "be valid TOML", f"{path} with the error '{error}'", "fix the file"
         ) from None
 
 
@@ -294,7 +289,7 @@ def _replaced(
         raise InputError(
             "values",
             f"not contain lists nested more than {DEEPEST} deep",
-            "deeper lists",
+            PRESENT,
             "use fewer levels of lists",
         ) from None
     _require_no_nul(overrides)
@@ -306,9 +301,8 @@ def _replaced(
     for key, value in overrides.items():
         whole = full_key(key, value)
         if whole in full:
-            raise InputError(
-                whole, "be given once", f"two values, one of them as {key}", "remove one of them"
-            )
+            other = next(each for each in overrides if full_key(each, overrides[each]) == whole)
+            raise InputError(whole, "be given once", f"{other} and {key}", "remove one of the two")
         full[whole] = None if (key, value) == ("device", "none") else value
     # A new kind resets its part, so kinds are set first, whatever the order of the overrides.
     for key, value in sorted(
@@ -427,7 +421,9 @@ def _absolute_path(folder: Path, name: str) -> str:
 def _require_no_nul(value: object, key: str = "") -> None:
     """Raise an error if a text contains the character NUL, which file names must not contain."""
     if isinstance(value, str) and "\0" in value:
-        raise InputError(key, "be text without the character NUL", shown(value), "leave it out")
+        raise InputError(
+            key, "be text without the character NUL", shown(value), "remove this character"
+        )
     if isinstance(value, Mapping):
         for name, inner in value.items():
             _require_no_nul(inner, f"{key}.{name}" if key else str(name))
@@ -463,12 +459,12 @@ def _read(path: Path) -> str:
         return read_text(path)
     except UnicodeDecodeError:
         raise InputError(
-            "scene", "be TOML in UTF-8", f"other bytes in {path}", "save the file as UTF-8 text"
+            "scene", "be TOML in UTF-8", f"{path} with other bytes", "save the file as UTF-8 text"
         ) from None
     except OSError as error:
         message = (error.strerror or "an error").lower()
         raise InputError(
-            "scene", "be readable", f"{message} at {path}", "check the permissions of the file"
+            "scene", "be readable", f"{path} ({message})", "check the permissions of the file"
         ) from None
 
 
@@ -486,7 +482,7 @@ def parse_override(
     """
     key, sign, value = text.partition("=")
     if not sign or not key:
-        raise InputError(option, "be key=value", text, f"use for example {example}")
+        raise InputError(option, "have the form key=value", text, f"use for example {example}")
     try:
         return key.strip(), read_toml(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
@@ -505,7 +501,7 @@ def parse_overrides(texts: Iterable[str]) -> dict[str, object]:
     for text in texts:
         key, value = parse_override(text)
         if key in found:
-            raise InputError("--set", "name a key once", f"{key} twice", "remove one of them")
+            raise InputError("--set", "name each key once", f"{key} twice", "remove one of the two")
         found[key] = value
     return found
 
@@ -520,8 +516,8 @@ def _place(table: dict[str, object], key: str, value: object) -> None:
     if len(parents) > DEEPEST:
         raise InputError(
             shown(key),
-            "name an entry of a part",
-            f"{len(parents)} dots",
+            "be a key of a scene",
+            f"a key with {len(parents)} dots",
             "see `tissue scenes NAME`",
         )
     for parent in parents:
@@ -529,8 +525,8 @@ def _place(table: dict[str, object], key: str, value: object) -> None:
         if not isinstance(inner, dict):
             raise InputError(
                 key,
-                "name an entry of a part",
-                f"{parent}, which is a value",
+                "be a key of a table",
+                f"the name {parent}, which is not a table",
                 "see `tissue scenes NAME`",
             )
         table = inner

@@ -15,7 +15,7 @@ from meshes.base.hints import closest, did_you_mean
 from meshes.base.text_tables import shown, unknown_name
 from tissue.materials.scene_constants import TABLES
 from tissue.scene.anatomy import Tooth
-from tissue.scene.part import LONGEST_PATH, ByKind, Idle, OneOf, entries, kinds_of
+from tissue.scene.part import LONGEST_PATH, ByKind, Idle, OneOf, entries, enumerated, kinds_of
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import OR_NONE, Scene
 from tissue.scene.tool import Probe, Tool
@@ -127,7 +127,8 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
     if kind == "missing" and not place.is_inside:
         return InputError(key, "be given", "nothing", _addition(place.names, field))
     if kind == "union_tag_not_found":
-        return InputError(f"{key}.kind", "be given", "nothing", SEE)
+        known = ", ".join(dict.fromkeys(each for part in _parts(field) for each in kinds_of(part)))
+        return InputError(f"{key}.kind", "be given", "nothing", f"use one of {known}")
     if kind == "union_tag_invalid" and isinstance(place.value, Mapping):
         choices = list(dict.fromkeys(each for part in _parts(field) for each in kinds_of(part)))
         return unknown_name(f"{key}.kind", choices, place.value.get("kind"))
@@ -142,8 +143,8 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
     remedy = _corrected(key, got, kind, is_number=is_number) or _remedy(field)
     if is_number and got in NOTHING and not field.is_required():
         remedy += (
-            ", or remove the key from the scene file for its default. An override that changes a "
-            "kind or a law removes the keys that no longer apply"
+            ", or remove the key from the scene file to use its default. If an override changes "
+            "a kind or a law, keys without effect are removed automatically"
         )
     if is_number and kind == "less_than_equal" and got == fault["input"]:
         remedy = f"use {context['le']:g} or less"
@@ -201,16 +202,16 @@ def _unknown_key(place: _Place, table: Table, model: type[BaseModel]) -> InputEr
         listed = ""
     else:
         suggested = did_you_mean([full[-1] for full in meant])
-        listed = f" {_owner(place)} has the keys {', '.join(known)}."
+        listed = f" {_owner(place, model)} has the keys {enumerated(known)}."
     remedy = _of_density(names, table) or "Rename or remove it"
     return InputError(f"{place.key} is not a known key{suggested}.{listed} {remedy}")
 
 
-def _owner(place: _Place) -> str:
+def _owner(place: _Place, model: type[BaseModel]) -> str:
     """Return a description of the table that contains a key, for the start of a sentence."""
     if len(place.names) == 1:
-        return "A scene"
-    part = f"The table {'.'.join(map(shown, place.names[:-1]))}"
+        return "A scene" if model is Scene else "This table"
+    part = f"The table [{'.'.join(map(shown, place.names[:-1]))}]"
     if "kind" not in place.model.model_fields or len(kinds_of(place.model)) != 1:
         return part
     return f"{part} of kind {kinds_of(place.model)[0]}"
@@ -302,7 +303,7 @@ def _of_another_kind(given: _Place, meant: _Place, table: Table) -> InputError:
     if part == "tool":
         family = next((base for base in (Tool, Probe) if issubclass(chosen, base)), chosen)
         alike = [each for each in others if issubclass(each, family)]
-        keys = ", ".join(each for each in chosen.model_fields if each != "kind")
+        keys = enumerated([each for each in chosen.model_fields if each != "kind"], "or")
         remedy = f"use a key of {where} ({keys})"
         if alike:
             remedy = f"set tool.kind = {kinds_of(alike[0])[0]}"
@@ -322,9 +323,9 @@ def _of_another_kind(given: _Place, meant: _Place, table: Table) -> InputError:
     elif sources:
         where = f"a {kind} {_source(chosen)}"
         is_plain = "procedural" in sources
-        remedy = "leave its file out" if is_plain else f"use one {' or '.join(sources)}"
+        remedy = f"use a {kind} {'without a file' if is_plain else ' or '.join(sources)}"
     elif meant.names[-1] == getattr(others[0], "drive", "") and hasattr(chosen, "drive"):
-        remedy = f"set {part}.{chosen.drive}, which drives this scene, or {remedy}"
+        remedy = f"use {part}.{chosen.drive} instead, or {remedy}"
     hint = did_you_mean([meant.key]) if given != meant else ""
     remedy = _of_density(given.names, table) or (
         f"{remedy}, or remove it" if remedy else "remove it"
@@ -402,7 +403,8 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
         if bounds and kind not in ("float_type", "int_type"):
             return bounds
         noun = "a finite number" if kind == "finite_number" else "a number"
-        return f"{'a whole number' if part is int else noun} {bounds}".strip()
+        noun = "a whole number" if part is int else noun
+        return f"{noun} {'of ' * bounds.startswith('at')}{bounds}".strip()
     if part is bool:
         return "true or false"
     if part is str:
@@ -419,8 +421,8 @@ def _requirement(field: FieldInfo, kind: str, inside: bool) -> str:
         return f"three finite numbers [x, y, z]{', each ' if limits else ''}{limits}"
     if (values := _values(field)) is not None:
         return f"a table of names and numbers {_bounds(values.metadata)}"
-    entries = ", ".join([*_parts(field)[0].model_fields][:3])
-    return f"{'none or ' * (OR_NONE in field.metadata)}a table with entries such as {entries}"
+    keys = enumerated([*_parts(field)[0].model_fields][:3])
+    return f"{'none or ' * (OR_NONE in field.metadata)}a table with keys such as {keys}"
 
 
 def _bounds(metadata: Iterable[object]) -> str:
@@ -471,7 +473,7 @@ def _addition(names: tuple[str, ...], field: FieldInfo) -> str:
     """Return an instruction to add a missing entry."""
     if field.examples:
         return f"add it, for example {names[-1]} = {_toml(field.examples[0])}"
-    table = f"[{'.'.join(names)}] with its entries"
+    table = f"the table [{'.'.join(names)}]"
     return f"add {table if _parts(field) else names[-1]}, {SEE}"
 
 

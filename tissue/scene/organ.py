@@ -125,15 +125,18 @@ def _apart(depths_mm: dict[str, float]) -> dict[str, float] | None:
     for name, _ in listed:
         if name in LAYERS:
             raise InputError(
-                "anatomy.membrane_depths_mm", f"not name the {name}", PRESENT, "choose another name"
+                "anatomy.membrane_depths_mm",
+                f"not contain the name {name}, which is the name of a layer",
+                PRESENT,
+                "choose another name",
             )
     for (above, depth_mm), (below, other_mm) in pairwise(listed):
         if depth_mm == other_mm:
             raise InputError(
                 "anatomy.membrane_depths_mm",
-                "have different depths",
-                f"{depth_mm:g} for {above} and {below}",
-                "change one of them",
+                "have a different depth for each membrane",
+                f"{depth_mm:g} mm for {above} and {below}",
+                "change one of the two depths",
             )
     return depths_mm or None
 
@@ -321,9 +324,9 @@ class Organ(Part):
         takes_rate = self.law == "exponential" and self.exponential_rate is None
         is_cited = self.capsule or self.gravity or self.viscous or takes_rate
         both = "with both organ.young_kPa and organ.poisson_ratio"
-        yield "material", is_stated and not is_cited, both, "remove one of them"
+        yield "material", is_stated and not is_cited, both, "remove one of these two keys"
 
     def require_valid(self) -> None:
         """Check that the exponent of an Ogden law is not 0."""
         if self.exponent == 0.0:
-            raise InputError("organ.exponent", "not be 0", "0", "use a value such as 8")
+            raise InputError("organ.exponent", "not be 0", PRESENT, "use a value such as 8")

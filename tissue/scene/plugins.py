@@ -99,7 +99,7 @@ def package_of(group: str, name: str) -> str:
 def _refuse(offer: EntryPoint, cause: str) -> str:
     """Warn that the part of an entry point is left out; return the text of the warning."""
     what = f"{OFFERED[offer.group]} {offer.name} of the package {_package(offer)}"
-    sentence = f"{what} cannot be used ({cause}): update or uninstall that package"
+    sentence = f"{what} cannot be used ({cause}). Update or uninstall that package"
     # Level 4 is the code that used the name through `Registry`.
     warnings.warn(sentence, PluginWarning, stacklevel=4)
     return sentence

@@ -26,7 +26,7 @@ from tissue.scene.anatomy import (
 )
 from tissue.scene.coupling import Device, Fidelity
 from tissue.scene.organ import IncisedAnatomy, LayersAnatomy, LiverFile, Organ, SoftAnatomy
-from tissue.scene.part import READ_BACK, ByKind, FileName, OneOf, Part, Rule, kinds_of
+from tissue.scene.part import READ_BACK, ByKind, FileName, OneOf, Part, Rule, enumerated, kinds_of
 from tissue.scene.registry import ANATOMIES, CUTTERS, CUTTING_MATERIALS, MOTIONS, NEEDLES, PROBES
 from tissue.scene.tool import (
     Blade,
@@ -101,13 +101,17 @@ class KeepClear(Part):
         """Check that at least one structure is given, and that none is given twice."""
         if not self.names and not self.files:
             raise InputError(
-                "keep_clear", "state names or files", "neither", "remove it, or name a structure"
+                "keep_clear",
+                "have names or files",
+                "neither",
+                "name a structure, or remove the table [keep_clear]",
             )
         both = set(self.names) & set(self.files)
         if both or len(set(self.names)) < len(self.names):
-            twice = ", ".join(sorted(both or self.names))
+            repeated = {each for each in self.names if self.names.count(each) > 1}
+            twice = enumerated(sorted(both or repeated))
             raise InputError(
-                "keep_clear", "name each structure once", f"{twice} twice", "remove one of them"
+                "keep_clear", "name each structure once", f"{twice} twice", "remove the repetition"
             )
 
 
@@ -340,7 +344,7 @@ class Scene(Part):
         # The model of the wall is one spring at the lowest point of a ball.
         if kind == "wall" and self.tool.kind != "sphere-probe":
             raise InputError(
-                "tool.kind", "be sphere-probe for a wall", self.tool.kind, "use a ball"
+                "tool.kind", "be sphere-probe for a wall", self.tool.kind, "use a sphere-probe"
             )
         if isinstance(self.tool, Tool) and isinstance(self.anatomy, CutAnatomy):
             self._cutter_fits(self.tool, self.anatomy)
@@ -352,10 +356,10 @@ class Scene(Part):
             raise InputError(
                 "tool.peg_diameter_mm",
                 f"fit the guide hole ({hole:g} mm wide, {depth:g} mm deep)",
-                f"a peg of {peg:g} x {length:g} mm",
+                f"a peg {peg:g} mm wide and {length:g} mm long",
                 (
-                    "widen or deepen the hole by anatomy.guide_hole_diameter_mm and "
-                    "anatomy.guide_hole_depth_mm"
+                    "increase anatomy.guide_hole_diameter_mm or anatomy.guide_hole_depth_mm, or "
+                    "use a smaller peg"
                 ),
             )
         # Fewer than four voxels across a tool do not show its shape. The suggestion has twenty
@@ -363,7 +367,7 @@ class Scene(Part):
         if tool.diameter_mm < 4.0 * self.voxels.spacing_mm:
             raise InputError(
                 "voxels.spacing_mm",
-                f"be at most a quarter of tool.diameter_mm ({tool.diameter_mm:g})",
+                f"be at most a quarter of tool.diameter_mm = {tool.diameter_mm:g}",
                 f"{self.voxels.spacing_mm:g}",
                 f"use a spacing such as {tool.diameter_mm / 20:g}",
             )
@@ -452,7 +456,7 @@ class Scene(Part):
         yield "seed", not is_held, nothing, "set device = touch"
         yield "output.cue_N", not is_held, "without a device", "set device = touch"
         if is_held:
-            wall = "for a wall, which has no end"
+            wall = "for a wall, which is infinitely large"
             is_wall = isinstance(self.anatomy, WallAnatomy)
             yield "device.coupling.roam_mm", is_wall, wall, "set motion.points_mm"
             yield (
@@ -466,14 +470,14 @@ class Scene(Part):
                 "motion.mass_kg",
                 True,
                 "with a device, because the masses of device and hand are used",
-                "set device or hand",
+                "choose another device or hand",
             )
             lasts = self.duration_s is not None
             yield (
                 "motion.max_feed_mm_s",
                 lasts,
                 "with a device and duration_s, because the hand sets the speed",
-                "set no duration_s",
+                "remove duration_s",
             )
         if self.fidelity is not None:
             where = "with fidelity, which chooses it"

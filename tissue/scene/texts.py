@@ -107,7 +107,10 @@ def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) ->
     head = _ANATOMY.search(text)
     if head is None:
         raise InputError(
-            "scene", "have a line [anatomy]", "none", "write anatomy.centre_mm and normal by hand"
+            "scene",
+            "have a line [anatomy]",
+            "none",
+            "write anatomy.centre_mm and anatomy.normal into the file by hand",
         )
     following = _TABLE.search(text, head.end())
     end = len(text) if following is None else following.start()
@@ -127,9 +130,9 @@ def with_site(text: str, centre_mm: Sequence[float], normal: Sequence[float]) ->
     if not is_same:
         raise InputError(
             "scene",
-            "state anatomy.centre_mm and normal on lines of their own",
-            "other text",
-            "write them by hand",
+            "have anatomy.centre_mm and anatomy.normal on separate lines",
+            "a line with other text",
+            "write the two keys into the file by hand",
         )
     return changed
 

@@ -135,15 +135,15 @@ class Tool(Shaped):
         if 0.0 < abs(self.spin_rpm) < 1.0:
             raise InputError(
                 "tool.spin_rpm",
-                "be at least 1 in size, or 0 for a tool that only touches",
+                "be 0, at least 1 or at most -1",
                 f"{self.spin_rpm:g}",
-                "use a value such as 500",
+                "use a value such as 500, or 0 for a tool that only touches",
             )
         web_mm = getattr(self, "web_mm", None) or 0.0
         if web_mm > 0.5 * self.diameter_mm:
             raise InputError(
                 "tool.web_mm",
-                f"be at most half of tool.diameter_mm ({self.diameter_mm:g})",
+                f"be at most half of tool.diameter_mm = {self.diameter_mm:g}",
                 f"{web_mm:g}",
                 f"use a value such as {0.18 * self.diameter_mm:.3g}",
             )
@@ -265,7 +265,7 @@ class Motion(Part):
         # A vector that consists of rounding errors has no direction.
         if math.hypot(*self.axis) < 1e-9:
             raise InputError(
-                "motion.axis", "have a length", "(0, 0, 0)", "use a direction such as [0, 0, 1]"
+                "motion.axis", "not be zero", "(0, 0, 0)", "use a direction such as [0, 0, 1]"
             )
 
 

@@ -236,8 +236,7 @@ def why_not_linear(scene: Scene) -> str:
     """
     if not isinstance(scene.anatomy, CutAnatomy) or not isinstance(scene.tool, Tool):
         return (
-            f"a {scene.tool.kind} in a {scene.anatomy.kind} has no cutting coefficients to be "
-            "linear in"
+            f"a {scene.tool.kind} in the anatomy {scene.anatomy.kind} has no cutting coefficients"
         )
     if scene.device is not None:
         return (
@@ -246,8 +245,8 @@ def why_not_linear(scene: Scene) -> str:
         )
     if scene.motion.kind not in ("path", "replay"):
         return (
-            f"the path of a motion of kind {scene.motion.kind} may depend on the force, and so "
-            "on the coefficients"
+            f"the path of a motion of kind {scene.motion.kind} may depend on the force and "
+            "therefore on the coefficients"
         )
     if scene.tool.spin_rpm == 0.0:
         return "a tool that does not turn cuts nothing"
@@ -293,7 +292,7 @@ def record_loads(
     if why := why_not_linear(scene):
         raise InputError(
             "scene",
-            "have a force that is linear in the coefficients",
+            "have a force that is linear in the cutting coefficients",
             f"a scene where {why}",
             "simulate the scene instead",
         )
@@ -368,7 +367,7 @@ def _recorded(
     if needed > MOST_BYTES:
         raise InputError(
             "every",
-            f"keep the record within {MOST_BYTES / 1e9:g} GB",
+            f"limit the record to {MOST_BYTES / 1e9:g} GB",
             f"{every} for {ticks} ticks, which need {needed / 1000000000.0:.1f} GB",
             f"use {every * -(-needed // MOST_BYTES)}",
         )

@@ -15,6 +15,7 @@ from tissue.motion.motion import Motion
 from tissue.motion.posed import PosedTool, pose_in
 from tissue.scene.anatomy import WallAnatomy
 from tissue.scene.organ import IncisedAnatomy, LayersAnatomy
+from tissue.scene.part import enumerated
 from tissue.scene.scene import Output, Scene, without_fields
 from tissue.simulation import loop as engine
 from tissue.simulation.builders.parts import Parts, motion_of, require_no_pause
@@ -311,14 +312,14 @@ class PosedSession:
         if snapshot.tissue != self._names:
             raise InputError(
                 "snapshot",
-                f"hold the state of {', '.join(self._names)}",
-                ", ".join(snapshot.tissue),
+                f"contain the state of {enumerated(self._names)}",
+                f"the state of {enumerated(snapshot.tissue)}",
                 "make both loops from equal arguments",
             )
         if snapshot.made_from != self._made_from:
             raise InputError(
                 "snapshot",
-                "be of a loop with the same constants, step_ms, tool and prepared tissue",
+                "come from a loop with the same constants, step_ms, tool and prepared tissue",
                 "a snapshot of another loop",
                 "make both loops from equal arguments",
             )

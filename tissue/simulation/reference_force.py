@@ -72,10 +72,10 @@ def ideal_scene(scene: Scene, finest: Mapping[str, object] | None = None) -> Sce
     """
     if scene.device is None:
         raise InputError(
-            "scene",
-            "have a device, because the played force is the force on a device",
+            "device",
+            "be given, because the played force is the force on a device",
             "none",
-            "set device, such as touch",
+            "set for example device = touch",
         )
     stiffness = scene.held.coupling.stiffness_N_m or judged_loop(loop_settings(scene)).stiffness_N_m
     return changed(scene, {**PROMPT, "coupling.stiffness_N_m": stiffness, **(finest or {})})

@@ -155,8 +155,8 @@ class Run:
         """Objects that simulated the scene; not available for a run that was read from a folder."""
         raise InputError(
             "run",
-            "be simulated in this process to have its parts",
-            self._files.path,
+            "be simulated in this process, because a folder does not contain its parts",
+            f"the folder {self._files.path}",
             "run the scene again",
         )
 
@@ -184,7 +184,7 @@ class Run:
             raise InputError(
                 "run",
                 "have voxels",
-                f"a {self.scene.anatomy.kind}",
+                f"a run with anatomy.kind = {self.scene.anatomy.kind}",
                 "use the trace and the fields of this run",
             )
         return self.parts.volume
@@ -205,7 +205,10 @@ class Run:
         tool = self.scene.tool
         if not isinstance(tool, Tool):
             raise InputError(
-                "run", "have a cutter", f"a {tool.kind}", "use the trace and the fields of this run"
+                "run",
+                "have a cutter",
+                f"a run with a {tool.kind}",
+                "use the trace and the fields of this run",
             )
         return cutter_of(tool)
 
@@ -383,9 +386,9 @@ class Run:
         ):
             raise InputError(
                 "pictures",
-                "have the format of the pictures in the folder",
-                f"{picture_kind} for {self._saved.path}, which is not drawn again",
-                f"use tissue run SCENE --pictures {picture_kind}",
+                "have the format of the saved pictures, because a saved run is not drawn again",
+                f"{picture_kind} for {self._saved.path}",
+                f"use `tissue run SCENE --pictures {picture_kind}`",
             )
         copy_run(self._saved, Path(out), pictures=picture_kind is not None, overwrite=overwrite)
         if formats:
@@ -451,7 +454,7 @@ class Run:
         """Return data that were read from the folder; raise an error if the data are missing."""
         if part is None:
             raise InputError(
-                "run", f"hold {name}", f"{self._files.path} without it", "run the scene again"
+                "run", f"contain {name}", f"{self._files.path} without it", "run the scene again"
             )
         return part
 

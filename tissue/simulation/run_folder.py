@@ -305,7 +305,7 @@ class SavedRun:
             if found != stated:
                 raise InputError(
                     "trace.csv",
-                    f"hold {stated} ticks as in summary.json",
+                    f"have {stated} rows, the ticks that summary.json states",
                     f"{found} in {table}",
                     "run the scene again",
                 )
@@ -396,7 +396,7 @@ def copy_run(saved: SavedRun, out: Path, *, pictures: bool, overwrite: bool) -> 
     if saved.status == "running":
         raise InputError(
             "run",
-            "have ended to be copied",
+            "be finished before it is copied",
             f"{saved.path}, which is still running",
             "wait until the run ends",
         )
@@ -459,7 +459,7 @@ def read_summary(folder: Path) -> Summary:
         raise _no_run(folder)
     held = _table_of(folder)
     if not held:
-        got = "something else" if held is None else "an empty one"
+        got = "other content" if held is None else "an empty table"
         raise InputError("summary.json", "be a table in JSON", f"{got} in {path}", AGAIN)
     require_version("summary.json", held, FORMAT, where=path, remedy=AGAIN)
     kind = _CompleteSummary if held.get("status") == "complete" else _WrittenSummary
@@ -469,9 +469,9 @@ def read_summary(folder: Path) -> Summary:
         name = str(error.errors()[0]["loc"][0])
         raise InputError(
             "summary.json",
-            f"hold {name} as `tissue run` writes it",
+            f"have a valid entry {name}",
             # A wrong entry may be long, so the message is cut.
-            f"{str(held.get(name))[:60]} in {path}",
+            f"{str(held.get(name, 'no such entry'))[:60]} in {path}",
             AGAIN,
         ) from None
     return held

@@ -12,7 +12,7 @@ from typing import TypedDict
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import PRESENT, InputError
 from meshes.base.progress import Progress, silent
 from tissue.haptics.device.device import Device, device_parameters
 from tissue.haptics.device.safe_device import SafeDevice, run_held
@@ -161,7 +161,7 @@ def simulate(
             assert isinstance(parts.motion, HandMotion), "a scene with a device"
             kind = scene.held.kind
             limits = device_parameters(kind, scene.constants)
-            remedy = f"state devices.{kind}.rate_Hz in a file of constants for the key materials"
+            remedy = f"write its rate as devices.{kind}.rate_Hz into the file of the key materials"
             require_stated_rate(device, limits, remedy=remedy)
             parts.motion.device = device
             # With a caller's device there is no simulated hand, which would need time to react.
@@ -179,7 +179,7 @@ def simulate(
             # Level 4 is the caller of `tissue.simulate`.
             warnings.warn(
                 f"the tool starts {' and '.join(inside)}. Check the path and the position of the "
-                "structure. Ticks in a breach are slow",
+                "structure. The ticks are slow while the tool is inside",
                 BreachWarning,
                 stacklevel=4,
             )
@@ -209,13 +209,13 @@ def _require_runnable(
     if cores is not None and not 1 <= cores <= MOST_CORES:
         # The value in the message is cut, because a number may have thousands of digits.
         raise InputError(
-            "cores", f"be from 1 to {MOST_CORES}", str(cores)[:12], "leave it out to use all"
+            "cores", f"be from 1 to {MOST_CORES}", str(cores)[:12], "leave it out to use all cores"
         )
     if scene.fidelity is not None:
         raise InputError(
-            "scene",
-            "state its settings",
-            "fidelity in their place",
+            "fidelity",
+            "be left out, because this function does not choose settings",
+            PRESENT,
             "use tissue.simulate, which chooses the settings",
         )
     require_no_pause(scene)
@@ -224,7 +224,10 @@ def _require_runnable(
     require_device(device.device if isinstance(device, SafeDevice) else device)
     if scene.device is None:
         raise InputError(
-            "scene", "name the device that is given", "none", "set device, such as touch"
+            "device",
+            "be left out for a scene without a device",
+            PRESENT,
+            "set a device in the scene, for example device = touch",
         )
 
 
@@ -363,9 +366,9 @@ def tick_count(scene: Scene, motion: Motion) -> int:
     if seconds > LONGEST_S:
         raise InputError(
             "duration_s",
-            f"be given for a motion of more than {LONGEST_S:g} s",
-            f"nothing for a motion of {seconds:g} s",
-            "give duration_s, or a higher feed",
+            f"be given for a motion of {seconds:g} s, which is longer than {LONGEST_S:g} s",
+            "nothing",
+            "set duration_s, or use a higher feed",
         )
     if scene.duration_s is not None and seconds >= motion.duration_s - motion.after_s:
         seconds += motion.after_s

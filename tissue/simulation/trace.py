@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import PRESENT, InputError
 from meshes.base.extras import install_command
 from meshes.base.file_limits import require_regular
 from meshes.base.text_tables import number_in, require_distinct_columns
@@ -230,8 +230,8 @@ def check_format(kind: str) -> None:
     if writer and find_spec(writer) is None:
         raise InputError(
             f"format {kind}",
-            "be writable with the installed packages",
-            f"a format that needs {writer}",
+            f"have the package {writer} installed",
+            PRESENT,
             f"run {install_command(extra)}",
         )
 
@@ -339,7 +339,7 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
     rows = np.empty((max(len(whole) - 1, 0), len(columns)))
     for number, line in enumerate(whole[1:]):
         if len(line) != len(columns):
-            raise _line_error(path, number, f"hold {len(columns)} values in each line", len(line))
+            raise _line_error(path, number, f"have {len(columns)} values in each line", len(line))
         for place, (name, cell) in enumerate(zip(columns, line, strict=True)):
             try:
                 rows[number, place] = index[cell] if name == "layer" else number_in(cell)
@@ -349,7 +349,7 @@ def read_table(path: Path, layer_names: tuple[str, ...]) -> Table:
             except ValueError:
                 # A damaged cell may be long, so the message is cut.
                 got = f"{cell[:40]!r} for {name}"
-                raise _line_error(path, number, "hold numbers", got) from None
+                raise _line_error(path, number, "contain only numbers", got) from None
     return Table(columns, rows, layer_names)
 
 
@@ -380,8 +380,8 @@ def read_trace(path: Path, layer_names: tuple[str, ...]) -> Table:
     if len(bad):
         row, place = bad[0]
         got = f"{table.rows[row, places[place]]} for {wanted[place]}"
-        raise _line_error(path, row, "hold finite numbers", got)
+        raise _line_error(path, row, "contain only finite numbers", got)
     early = np.flatnonzero(np.diff(table["time_s"]) <= 0.0)
     if len(early):
-        raise _line_error(path, early[0] + 1, "have increasing time_s", "an earlier one")
+        raise _line_error(path, early[0] + 1, "have increasing time_s", "an earlier time")
     return table

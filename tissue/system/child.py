@@ -75,7 +75,7 @@ def process_module(name: str) -> str:
     raise InputError(
         "tissue-sim",
         f"have the process {name}",
-        "an installation of an older version",
+        "an older version of it",
         "install tissue-sim again",
     )
 

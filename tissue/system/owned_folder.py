@@ -219,7 +219,7 @@ def require_folder(
     if there and not overwrite:
         raise InputError(
             "out",
-            f"not hold another {kind}",
+            f"not contain another {kind}",
             path,
             "pass --overwrite (overwrite=True in Python) to replace it or choose another --out",
         )
@@ -266,7 +266,7 @@ def listed_files(path: Path) -> Files:
         raise InputError(
             "out",
             f"be a folder without a {MARKER} from another program or version",
-            f"one in {path}",
+            f"such a file in {path}",
             "choose another --out",
         ) from None
     return files
@@ -314,8 +314,8 @@ def _foreign(path: Path, name: str, files: Mapping[str, set[str]]) -> InputError
     for kind, names in files.items():
         if name in names and not _is_foreign(path, name):
             owner = f", which belongs to another kind of output ({kind})"
-    got = f"{path} with {name}{owner}"
-    return InputError("out", "not hold files of other origin", got, "choose another --out")
+    got = f"{path} with the file {name}{owner}"
+    return InputError("out", "not contain files of other origin", got, "choose another --out")
 
 
 class OutputLock:
@@ -391,8 +391,8 @@ def _opened(path: Path) -> TextIO:
         file.close()
     raise InputError(
         "out",
-        f"hold no file {path.name} of other origin",
-        f"one in {path.parent}",
+        f"not contain a file {path.name} of other origin",
+        f"such a file in {path.parent}",
         "move this file or choose another --out",
     )
 

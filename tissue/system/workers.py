@@ -206,7 +206,7 @@ def finished(
                 raise InputError(
                     "scheduler",
                     "answer",
-                    f"{scheduler} ({error})",
+                    f"no answer from {scheduler} ({error})",
                     "start it with `dask scheduler`",
                 ) from error
             # consecutive losses without a finished job
@@ -215,8 +215,8 @@ def finished(
                 raise InputError(
                     "workers",
                     "stay alive",
-                    f"{barren} losses with {counted(len(waiting), 'job')} left",
-                    "find out why they end, for example for lack of memory, and start again",
+                    f"{barren} losses in a row, with {counted(len(waiting), 'job')} left",
+                    "find out why they end, for example too little memory, and start again",
                 ) from error
             report(
                 f"workers were lost ({type(error).__name__}), "
@@ -290,8 +290,8 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
     except ImportError:
         raise InputError(
             "scheduler",
-            "have dask.distributed",
-            "no installation of it",
+            "be used with the package dask.distributed",
+            "a Python environment without it",
             f"run {install_command('cluster')}",
         ) from None
     if SCHEMES[kind] == "tls":
@@ -312,7 +312,7 @@ def _dask(scheduler: str, patience_s: float) -> Iterator[Executor]:
             if version != package_version() and not isinstance(version, OSError):
                 raise InputError(
                     "workers",
-                    f"have version {package_version()}",
+                    f"have version {package_version()} of tissue",
                     f"{version} at {worker}",
                     "update tissue on this worker",
                 )
@@ -332,10 +332,10 @@ def _require_certificates(scheduler: str) -> None:
         file = dask.config.get(name, None)
         if file is None or not Path(file).is_file():
             variable = "DASK_" + name.upper().replace(".", "__").replace("-", "_")
-            got = "none" if file is None else f"{file}, which is no file"
+            got = "none" if file is None else f"{file}, which is not a file"
             raise InputError(
                 variable,
-                f"name a file of certificates for the scheduler {scheduler}",
+                f"be the path of a certificate file for the scheduler {scheduler}",
                 got,
-                f"set it, or {name} in Dask's configuration",
+                f"set this variable, or set {name} in Dask's configuration",
             )

@@ -35,7 +35,9 @@ def test_segments_that_overlap_keep_their_voxels(tmp_path, options):
         assert np.array_equal(placed.mask(name), mask)
     assert any("lie in several labels, and count for each" in each for each in labels.image.notes)
     assert placed.only(["bone", "canal"]).mask("bone").sum() == (masks()[0] & ~masks()[1]).sum()
-    fractions = any("half of a voxel" in each for each in labels.image.notes)
+    fractions = any(
+        "has fractions: voxels of at least one half" in each for each in labels.image.notes
+    )
     assert fractions == (options.get("kind") == "FRACTIONAL")
 
 
@@ -215,5 +217,5 @@ def test_outlines_across_the_planes_are_refused(tmp_path):
         "bone": [each @ np.array([[1, 0, 0], [0, 0, 1], [0, 1, 0]]) for each in outlines()["bone"]]
     }
     path = write_structures(tmp_path / "rs.dcm", tilted)
-    with pytest.raises(InputError, match="lie in planes across the patient's long axis"):
+    with pytest.raises(InputError, match="lie in planes perpendicular to the patient's long axis"):
         read_labels(path, image=image(tmp_path))

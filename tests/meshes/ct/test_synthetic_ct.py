@@ -62,7 +62,9 @@ def test_a_crop_without_air_is_calibrated_and_one_without_soft_tissue_refused(ph
     limb = whole.values[np.ix_((x > 10.0) & (x < 70.0), (y > -40.0) & (y < 25.0))]
     found = calibrate(Image(limb, whole.spacing_mm, "part", ()))
     assert "air" not in found.law.source and all(holds_rods(found.law, phantom))
-    with pytest.raises(InputError, match=r"internal calibration must find fat or muscle"):
+    with pytest.raises(
+        InputError, match=r"internal calibration must find two tissues, one of them fat or muscle"
+    ):
         calibrate(Image(whole.values[115:128, 55:68, 25:33], whole.spacing_mm, "head alone", ()))
     scaled = Image((whole.values.astype(np.float32) + 1024.0) / 16.0, whole.spacing_mm, "8 bit", ())
     with pytest.raises(InputError, match=r"must find|must be Hounsfield units"):

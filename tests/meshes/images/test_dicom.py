@@ -52,7 +52,7 @@ def test_several_series_in_nested_folders_are_listed(tmp_path):
         fields = {"series": f"1.2.{number}", "series_number": number}
         (tmp_path / "cd").mkdir(exist_ok=True)
         series(tmp_path / "cd" / f"SE{number}", **fields)
-    with pytest.raises(InputError, match=r"number 3 of 6 slices, number 4 of 6 slices"):
+    with pytest.raises(InputError, match=r"number 3 with 6 slices and number 4 with 6 slices"):
         read_image(tmp_path / "cd")
     assert notes_of_ball(tmp_path / "cd", series=4) == ()
 
@@ -107,7 +107,9 @@ def test_positions_rounded_to_a_tenth_of_a_millimetre_are_even(tmp_path, gap):
     assert found.spacing_mm[2] == pytest.approx(gap, abs=1e-3)
     assert np.array_equal(found.values, values)
     (tmp_path / "a" / "slice017.dcm").unlink()
-    with pytest.raises(InputError, match=r"follow each other without a gap, .* 1 missing"):
+    with pytest.raises(
+        InputError, match=r"follow each other without a gap, .* \(1 slice missing\)"
+    ):
         read_image(tmp_path / "a")
 
 
@@ -166,7 +168,9 @@ def test_phases_at_one_place_are_refused(tmp_path):
 def test_a_segmentation_is_no_image(tmp_path):
     mask = ball_HU()[None] > 0
     file = write_segmentation(tmp_path / "seg.dcm", mask, SPACING, ORIGIN, names=["bone"])
-    with pytest.raises(InputError, match=r"got only SEG in seg\.dcm\. Give SEG and RTSTRUCT as"):
+    with pytest.raises(
+        InputError, match=r"got only SEG in seg\.dcm\. Give .* SEG or RTSTRUCT files as"
+    ):
         read_image(file)
 
 

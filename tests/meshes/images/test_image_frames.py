@@ -299,7 +299,7 @@ def test_a_stale_pixdim_next_to_an_sform_is_noted(tmp_path, pixdim):
     image_writers.write_nifti(tmp_path / "s.nii", VALUES, axes, ORIGIN, pixdim=(1.0, *pixdim))
     found = read_image(tmp_path / "s.nii")
     assert found.spacing_mm == pytest.approx(SPACING) and np.array_equal(found.values, VALUES)
-    assert "the sform is taken" in found.notes[0]
+    assert "the sform is used" in found.notes[0]
 
 
 def test_a_header_in_metres_without_a_unit_is_noted(tmp_path):

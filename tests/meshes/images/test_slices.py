@@ -44,7 +44,7 @@ def test_slices_follow_the_numbers_in_their_names(tmp_path, name, pattern):
     [
         (
             lambda f: [(f / f"slice_{k}.tif").unlink() for k in (5, 6)],
-            "slice_7.tif after slice_4.tif .*, 2 missing",
+            "slice_7.tif after slice_4.tif .*, 2 slices missing",
         ),
         (
             lambda f: (f / "slice_3.tif").rename(f / "thumbnail.tif"),
@@ -52,14 +52,14 @@ def test_slices_follow_the_numbers_in_their_names(tmp_path, name, pattern):
         ),
         (
             lambda f: tifffile.imwrite(f / "slice_12.tif", np.zeros((4, 5), np.uint16)),
-            "same size, got 5 x 4 in slice",
+            "same size, got 5 x 4 pixels in slice",
         ),
         (
             lambda f: (
                 tifffile.imwrite(f / "slice_012.tif", steps()[0])
                 or (f / "slice_12.tif").write_bytes((f / "slice_012.tif").read_bytes())
             ),
-            "numbers that differ, got the number of slice_12.tif twice",
+            "different numbers, got the number of slice_12.tif twice",
         ),
         (
             lambda f: tifffile.imwrite(f / "slice_12.tif", steps()[0].astype(np.uint8)),

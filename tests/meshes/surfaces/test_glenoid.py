@@ -100,7 +100,7 @@ def test_layers_and_densities(face):
         ),
         (
             {"vault_taper_deg": 25, "vault_depth_mm": 40},
-            ("vault_taper_deg", "25 over 40 mm"),
+            ("vault_taper_deg", "25 over a depth of 40 mm"),
         ),
         ({"trabecular_density_kg_m3": "light"}, ("trabecular_density_kg_m3", "'light'")),
         ({"rim_blend_mm": True}, ("rim_blend_mm", "True")),

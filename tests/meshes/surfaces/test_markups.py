@@ -129,24 +129,24 @@ def test_point_lists_with_a_byte_order_mark(tmp_path, encoding):
                     {"label": "A", "position": [0, 0, 0], "positionStatus": "undefined"}
                 ]
             },
-            "got undefined for A",
+            "got the status undefined of A",
         ),
         (
             {"controlPoints": [{"label": "A", "position": [0, 0]}]},
-            "three finite numbers, got .* for A",
+            "three finite coordinates, got .* for A",
         ),
         (
             {"controlPoints": [{"label": "A", "position": [0, 0, float("nan")]}]},
-            "three finite numbers, got .* for A",
+            "three finite coordinates, got .* for A",
         ),
         ({"controlPoints": []}, "one plane, one line from the site inward, or one point, got none"),
         ({"controlPoints": 5}, "got other data"),
         ({"type": "Plane", "controlPoints": []}, "planes with an origin"),
         ({"type": "Plane"}, "planes with a normal"),
-        ({"type": "Plane", "normal": [0, 0, 0]}, "with a length"),
+        ({"type": "Plane", "normal": [0, 0, 0]}, "non-zero length, got one of length 0"),
         (
             {"type": "Line", "controlPoints": [{"position": [0, 0, 1]}, {"position": [0, 0, 1]}]},
-            "with a length",
+            "non-zero length, got one of length 0",
         ),
         ({"type": "ROI"}, "got none"),
     ],

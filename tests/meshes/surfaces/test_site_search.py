@@ -68,7 +68,7 @@ NO_BONES = {
     ],
 )
 def test_what_is_no_bone_is_refused(kind, shape):
-    with pytest.raises(InputError, match=r"file must show a .*, got .*\. Check the unit"):
+    with pytest.raises(InputError, match=r"file must contain a .*, got .*\. Check the unit"):
         find_site(kind, as_surface(NO_BONES[shape]))
 
 
@@ -79,7 +79,7 @@ def test_a_bone_with_two_heads_is_refused():
     foot = -46.0 * NECK
     rod = solid(Rod(foot - [0, 0, 60], foot - [0, 20, 200], 12.0))
     both = trimesh.util.concatenate([bone, twin, rod])
-    with pytest.raises(InputError, match="got two places alike"):
+    with pytest.raises(InputError, match="got two similar places"):
         find_site("femoral-head", as_surface(both))
 
 

@@ -147,7 +147,7 @@ def test_a_gmsh_file_of_version_4_has_the_same_parts(tmp_path: Path, capfd) -> N
     assert found.mesh.part_names == ("liver tissue", "part 8")
     assert "Left out 1 elements that are not tetrahedra." in found.sentences
     file.write_text(GMSH_4.replace("liver tissue", 61 * "x"))
-    with pytest.raises(InputError, match="have names that differ, of 1 to 60 characters"):
+    with pytest.raises(InputError, match="have different names of 1 to 60 characters"):
         read_tets(file)
     file.write_text(GMSH_4[:-60])
     with pytest.raises(InputError, match="complete sections"):
@@ -180,7 +180,7 @@ def test_a_gmsh_file_of_implausible_size_asks_for_its_unit(tmp_path: Path) -> No
     file.write_text(
         FORM + NODES.replace("100", "7") + "$Elements\n1\n1 4 0 1 2 3 4\n$EndElements\n"
     )
-    with pytest.raises(InputError, match="whose box of 7 x 7 x 7 fits an organ neither"):
+    with pytest.raises(InputError, match="because its size of 7 x 7 x 7 fits an organ neither"):
         read_tets(file)
 
 

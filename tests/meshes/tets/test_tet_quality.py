@@ -81,7 +81,7 @@ def test_a_bad_cell_inside_gets_volume_by_moving_its_nodes(cube: TetMesh, share:
     mesh, repairs = repair_tets(nodes, cube.cells)
     text = " ".join(repairs)
     assert (f"{flat} flat tetrahedra inside" in text) == (share == 1.0) == (flat > 0)
-    assert f"{int((quality < SLIVER).sum())} slivers" in text and "left 0" in text
+    assert f"{int((quality < SLIVER).sum())} slivers" in text and "0 slivers remained" in text
     if not flat:
         assert at_mm(nodes[cube.cells[quality.argmin()]]) in text
     assert mean_ratio(mesh.nodes_m, mesh.cells).min() > SLIVER
@@ -138,7 +138,7 @@ def unmendable(nodes: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.nda
             lambda n, c: (np.where(np.arange(len(n))[:, None] == 3, np.nan, n), c),
             "nodes must be finite, got 1 of 125",
         ),
-        (lambda n, c: (n, c + 1), "cells must name nodes 0 to 124"),
+        (lambda n, c: (n, c + 1), "cells must refer to the nodes 0 to 124"),
         (lambda n, c: (n, c[:0]), "cells must be tetrahedra"),
         (
             lambda n, c: (
@@ -147,8 +147,8 @@ def unmendable(nodes: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.nda
             ),
             "share each face with at most one other cell",
         ),
-        (folded, r"both cells on one side, the first at \(.*\) mm"),
-        (unmendable, "got 1 flat tetrahedra of 3"),
+        (folded, r"both cells on the same side, the first at \(.*\) mm"),
+        (unmendable, "got 1 of 3 cells that are flat"),
     ],
 )
 def test_what_is_no_mesh_is_refused(cube: TetMesh, spoil: object, message: str) -> None:

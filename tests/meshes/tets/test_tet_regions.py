@@ -43,7 +43,9 @@ def test_a_part_chooses_all_its_nodes() -> None:
     part = (MESH.nodes_m[MESH.cells].mean(axis=1)[:, 0] > 0.08).astype(np.uint8)
     mesh = TetMesh(MESH.nodes_m, MESH.cells, part, ("tissue", "vessel", "empty"))
     assert len(nodes_of_part(mesh, "vessel")) == 2 * 36
-    with pytest.raises(InputError, match="part must be one of tissue, vessel, empty, got bone"):
+    with pytest.raises(InputError, match="part must be one of tissue, vessel or empty, got bone"):
         nodes_of_part(mesh, "bone")
-    with pytest.raises(InputError, match="part must have cells, got none of empty"):
+    with pytest.raises(
+        InputError, match="part must contain cells of the mesh, got empty, which has no cells"
+    ):
         nodes_of_part(mesh, "empty")

@@ -66,7 +66,7 @@ def test_a_scene_file_that_may_not_be_read_is_refused(refused, here, monkeypatch
 
     monkeypatch.setattr(Path, "read_bytes", closed)
     message = refused("run", "x.toml")
-    assert message.startswith("scene ") and "permission denied at x.toml" in message
+    assert message.startswith("scene ") and "x.toml (permission denied)" in message
 
 
 CUBE = np.array(CUBE_CORNERS, dtype=float) * 30.0
@@ -123,8 +123,14 @@ POSES = "time_s,tool_x_mm,tool_y_mm,tool_z_mm,tool_qx,tool_qy,tool_qz,tool_qw\n"
     [
         (None, ("{path}",)),
         ("time_s,tool_x_mm\n0,0\n", ("tool_y_mm, tool_z_mm, tool_qx",)),
-        (POSES + "0,0,0,1,0,0,0,1\n1,0,nan,0,0,0,0,1\n", ("nan for tool_y_mm", "line 3")),
-        (POSES + "0,0,0,1,0,0,0,1\n1,0,up,0,0,0,0,1\n", ("'up' for tool_y_mm", "line 3")),
+        (
+            POSES + "0,0,0,1,0,0,0,1\n1,0,nan,0,0,0,0,1\n",
+            ("nan in the column tool_y_mm in line 3",),
+        ),
+        (
+            POSES + "0,0,0,1,0,0,0,1\n1,0,up,0,0,0,0,1\n",
+            ("'up' in the column tool_y_mm in line 3",),
+        ),
         (POSES + "0,0,0,1,0,0,0,1\n1,0\n", ("8 values in each line, got 2", "line 3")),
         (POSES + "0,0,0,1,0,0,0,1\n2,0,0,0,0,0,0,1\n1,0,0,0,0,0,0,1\n", ("time_s", "1 after 2")),
         (POSES + "0,0,0,1,0,0,0,1\n", ("two poses", "got 1")),

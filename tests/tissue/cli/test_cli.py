@@ -25,13 +25,13 @@ from tissue.scene.load import scene_names
             "scene must be a built-in name (caries, glenoid, incision, liver-press, milling, molar, "
             "needle, palpation, pedicle, wall) or a TOML file, got gleniod (did "
             "you mean "
-            "glenoid?). List them with `tissue scenes`",
+            "glenoid?). List the names with `tissue scenes`",
         ),
         (
             ("scenes", "mill"),
             "scene must be a built-in name (caries, glenoid, incision, liver-press, milling, molar, "
             "needle, palpation, pedicle, wall) or a TOML file, got mill (did you mean "
-            "milling?). List them with `tissue scenes`",
+            "milling?). List the names with `tissue scenes`",
         ),
         (
             ("run", "x.toml"),
@@ -84,7 +84,7 @@ from tissue.scene.load import scene_names
         ),
         (
             ("run", "milling", "--cores", "0"),
-            "cores must be from 1 to 4096, got 0. Leave it out to use all",
+            "cores must be from 1 to 4096, got 0. Leave it out to use all cores",
         ),
         (
             ("run", "milling", "--format", "xlsx"),
@@ -100,7 +100,7 @@ from tissue.scene.load import scene_names
         (("run", "milling", *COARSE, "--compute", "cuda:99"), None),
         (
             ("run", "milling", "--fidelity", "fast"),
-            "--fidelity must be key=value, got fast. Use for example force_error=0.03",
+            "--fidelity must have the form key=value, got fast. Use for example force_error=0.03",
         ),
         (
             ("calibrate", "--observer", "simulated:x"),
@@ -129,8 +129,7 @@ def test_a_bad_command_line_is_refused_in_one_sentence(refused, here, arguments,
 def test_a_format_without_its_extra_names_what_to_install(refused, here, monkeypatch, kind, writer):
     monkeypatch.setitem(sys.modules, writer, None)
     assert refused("run", "milling", "--format", kind) == (
-        f"format {kind} must be writable with the installed packages, got a format that needs "
-        f"{writer}. Run {install_command(kind)}"
+        f"format {kind} must have the package {writer} installed. Run {install_command(kind)}"
     )
     assert install_command(kind).startswith(f'pip install "{writer}>=')
 

@@ -190,8 +190,8 @@ def test_the_push_is_made_only_after_the_word_is_typed(
         (
             ("--test", "touch"),
             (
-                "--test must be one of haply, forcedimension, sigma-7, openhaptics, network, "
-                "recorded, got touch"
+                "--test must be one of haply, forcedimension, sigma-7, openhaptics, network "
+                "or recorded, got touch"
             ),
         ),
         (

@@ -104,20 +104,20 @@ def test_keys_are_suggested_by_meaning(scene, key, meant):
 )
 def test_a_feed_is_no_key_of_a_scene_that_is_driven_by_thrust(key):
     message = refusal("pedicle", key)
-    assert "Set motion.thrust_N, which drives this scene, or set motion.kind = path" in message
+    assert "Use motion.thrust_N instead, or set motion.kind = path, or" in message
     assert "max_feed_mm_s" not in message
-    assert "Set motion.feed_mm_s, which drives this scene" in refusal("glenoid", "motion.force_N")
+    assert "Use motion.feed_mm_s instead, or set" in refusal("glenoid", "motion.force_N")
 
 
 def test_a_misspelt_key_of_another_tool_names_the_keys_of_the_tool():
     message = refusal("incision", "tool.lenght_mm")
     assert message == (
-        "tool.lenght_mm is not a known key. The table tool of kind blade has the keys kind, "
-        "width_mm, thickness_mm, edge_deg. Rename or remove it"
+        "tool.lenght_mm is not a known key. The table [tool] of kind blade has the keys kind, "
+        "width_mm, thickness_mm and edge_deg. Rename or remove it"
     )
     assert "(did you mean width_mm?)" in refusal("incision", "tool.widht_mm")
     message = refusal("incision", "tool.length_mm")
-    assert "Use a key of a blade (width_mm, thickness_mm, edge_deg), or remove it" in message
+    assert "Use a key of a blade (width_mm, thickness_mm or edge_deg), or remove it" in message
     assert "Set tool.kind = cylinder-probe" in refusal("liver-press", "tool.length_mm")
 
 

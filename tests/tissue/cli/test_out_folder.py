@@ -20,7 +20,7 @@ def test_a_folder_with_another_run_is_kept_without_force(refused, command, here)
     (here / "first" / "trace.txt").write_text("notes of a person")
     before = {path: path.read_bytes() for path in (here / "first").rglob("*") if path.is_file()}
     assert refused(*quick, "--out", "first") == (
-        "out must not hold another run, got first. Pass --overwrite (overwrite=True in Python) to "
+        "out must not contain another run, got first. Pass --overwrite (overwrite=True in Python) to "
         "replace it or choose another --out"
     )
     assert {
@@ -41,7 +41,7 @@ def test_files_of_other_origin_are_always_kept(refused, here, arguments):
     (here / "mine").mkdir()
     (here / "mine" / "trace.csv").write_text("my own")
     assert refused("run", "milling", *COARSE, "--out", "mine", *arguments) == (
-        "out must not hold files of other origin, got mine with trace.csv. Choose another --out"
+        "out must not contain files of other origin, got mine with the file trace.csv. Choose another --out"
     )
     assert (here / "mine" / "trace.csv").read_text() == "my own"
     assert len(list((here / "mine").iterdir())) == 1
@@ -53,7 +53,7 @@ def test_a_file_in_the_place_of_the_folder_is_refused(refused, here):
         "out must be a folder, got the file taken. Choose another --out"
     )
     assert refused("run", "milling", "--out", "taken/below/it") == (
-        f"out must lie in a folder, got taken/below/it under the file {here / 'taken'}. "
+        f"out must lie in a folder, got taken/below/it, but {here / 'taken'} is a file. "
         "Choose another --out"
     )
 
@@ -97,7 +97,7 @@ def test_a_full_disk_is_refused_and_the_run_is_incomplete(refused, here, monkeyp
 
     monkeypatch.setattr(TraceWriter, "__init__", full)
     assert refused("run", "milling", *COARSE, "--duration-s", 0.1) == (
-        "out must have space, got no space left on device at runs/milling/trace.csv. Free "
+        "out must have free space, got no space left on device at runs/milling/trace.csv. Free "
         "some space or choose another "
         "--out"
     )

@@ -33,10 +33,10 @@ from tissue.scene.load import scene_text
         ("tool.flutes=201", "tool.flutes", "201"),
         ("tool.kind=burr", "tool.kind", "burr"),
         ("motion.kind=paht", "motion.kind", "paht"),
-        ("motion.kind=thrust", "motion.thrust_N", "nothing"),
-        ("motion.kind=replay", "motion.file", "nothing"),
-        ("motion={}", "motion.kind", "nothing"),
-        ("tool={}", "tool.kind", "nothing"),
+        ("motion.kind=thrust", "motion.thrust_N", "must be given. Add it"),
+        ("motion.kind=replay", "motion.file", "must be given. Add it"),
+        ("motion={}", "motion.kind", "must be given. Use one of path, thrust, replay"),
+        ("tool={}", "tool.kind", "must be given. Use one of ball-burr,"),
         ("motion.points_mm=[[0,0,1]]", "motion.points_mm", "[[0, 0, 1]]"),
         ("motion.points_mm=7", "motion.points_mm", "7"),
         ("motion.points_mm=[[0,0],[1,1,1]]", "motion.points_mm", "[[0, 0], [1, 1, 1]]"),
@@ -51,12 +51,12 @@ from tissue.scene.load import scene_text
         ("motion.axis=[0,1]", "motion.axis", "[0, 1]"),
         ("motion.axis=[0,0,0]", "motion.axis", "(0, 0, 0)"),
         ("anatomy.size_mm=[0,1,1]", "anatomy.size_mm", "[0, 1, 1]"),
-        ("anatomy.normal=5", "anatomy.normal", "5"),
+        ("anatomy.normal=5", "anatomy.normal", "left out for a procedural block"),
         ("tool.spin_rpm=0.5", "tool.spin_rpm", "0.5"),
         ("name=A b", "name", "A b"),
         ("description=5", "description", "5"),
         ("tool.diameter_mm=0.15", "voxels.spacing_mm", "0.05"),
-        ("tool.peg_diameter_mm=2", "tool.peg_diameter_mm", "2"),
+        ("tool.peg_diameter_mm=2", "tool.peg_diameter_mm", "left out for a ball-burr"),
         ("spacing", "--set", "spacing"),
         ("=1", "--set", "=1"),
         ("perception=all", "device", "perception = all"),
@@ -131,9 +131,18 @@ def test_voxels_that_do_not_fit_the_memory_are_refused_with_what_would_fit(
 @pytest.mark.parametrize(
     ("scene", "remedy"),
     [
-        ("needle", "a needle, got cut.stl. A needle needs anatomy.kind = layers. Remove "),
-        ("incision", "a blade, got cut.stl. A blade needs anatomy.kind = soft-tissue. Remove "),
-        ("palpation", "a slab, got cut.stl. Set anatomy.kind = liver, or remove it"),
+        (
+            "needle",
+            "anatomy.file must be left out for a needle. A needle needs anatomy.kind = layers. Remove ",
+        ),
+        (
+            "incision",
+            "anatomy.file must be left out for a blade. A blade needs anatomy.kind = soft-tissue. Remove ",
+        ),
+        (
+            "palpation",
+            "anatomy.file must be left out for a slab. Set anatomy.kind = liver, or remove it",
+        ),
     ],
 )
 def test_a_shape_is_proposed_only_for_a_tool_that_can_enter_it(refused, here, scene, remedy):
@@ -150,16 +159,19 @@ def test_a_tool_for_another_tissue_is_refused_with_its_tissue(refused, here):
 @pytest.mark.parametrize("value", ["", "none"])
 def test_a_value_that_should_unset_a_key_is_refused_with_the_way_to_unset_it(refused, here, value):
     message = refused("run", "liver-press", "--set", f"organ.young_kPa={value}")
-    assert "or remove the key from the scene file for its default" in message
+    assert "or remove the key from the scene file to use its default" in message
 
 
 def test_a_refused_key_of_a_needle_names_the_needle_and_its_constants(refused):
     changes = ("--set", "anatomy.kind=soft-tissue", "--set", "anatomy.file=cut.stl")
     message = refused("run", "needle", *changes)
-    assert "left out for a needle, got" in message and "needs anatomy.kind = layers" in message
+    assert (
+        "anatomy.file must be left out for a needle. A" in message
+        and "needs anatomy.kind = layers" in message
+    )
     message = refused("run", "needle", "--set", "organ.young_kPa=15")
     assert (
-        "left out for a needle, got 15. Give constants of the tissue, such as "
+        "organ.young_kPa must be left out for a needle. Give constants of the tissue, such as "
         "needle.liver.linear_N_mm, in the file that materials names, or remove organ.young_kPa"
     ) in message
     assert "anatomy.kind" not in message
@@ -169,7 +181,7 @@ def test_structures_of_a_needle_are_refused_with_the_way_to_their_distances(refu
     message = refused("run", "needle", "--set", "keep_clear.files.vessel=vessel.stl")
     assert message.startswith("keep_clear.files must be left out for a needle, which cuts neither")
     assert "deflection_mm" in message and "anatomy.kind" not in message
-    with pytest.raises(InputError, match="keep_clear must be left out for a needle, got"):
+    with pytest.raises(InputError, match=r"^keep_clear must be left out for a needle"):
         Loop("needle", keep_clear={"vessel": "vessel.stl"})
 
 

@@ -95,7 +95,8 @@ def test_planes_take_their_spacing_at_every_door(tmp_path, command, monkeypatch)
     found = float(out.split("bone of ")[1].split(" ml")[0])
     assert found == pytest.approx(millilitres, rel=0.02)
     with pytest.raises(
-        InputError, match="spacing_mm must be given for slices, whose files do not hold it"
+        InputError,
+        match="spacing_mm must be given for the slices png, because their files do not state it",
     ):
         tissue.Bone.from_image(tmp_path / "png", threshold=100)
 

@@ -86,7 +86,7 @@ def test_a_path_is_followed_on_the_bone(ct, tmp_path):
     assert np.allclose(ends[-1], (x + 3, y, z - 1), atol=0.05)
     assert run.summary["force_N"]["peak"] > 1.0
     for change, part in (
-        ({"site": None}, "site must be given with a path"),
+        ({"site": None}, "site must be given for the path .* Give a point"),
         ({"like": "milling"}, "like must be left out with a path"),
         ({"feed_mm_s": -1.0}, "feed_mm_s must be"),
     ):
@@ -144,7 +144,7 @@ def test_a_tooth_of_labels_is_drilled_over_its_largest_lesion(tmp_path):
         ),
         (
             {"site": "tooth", "labels": True, "series": 2},
-            "series must be left out where the labels are the source",
+            "series must be left out if the labels are the source",
         ),
         ({"site": "tooth", "labels": True, "coordinates": "RAS"}, "coordinates must be left out"),
     ],
@@ -206,7 +206,7 @@ def test_a_soft_organ_is_meshed_with_its_parts_and_pressed(tmp_path):
 @pytest.mark.parametrize(
     ("options", "part"),
     [
-        ({"parts": {"tumor": 60.0}}, "parts must be one that a.seg.nrrd holds, got tumor"),
+        ({"parts": {"tumor": 60.0}}, "parts must be a label of a.seg.nrrd, got tumor"),
         ({"parts": {"tumour": -1.0}}, "parts must have a modulus above 0"),
         ({"density": "internal"}, "density must be left out for a soft organ"),
         ({"site": "glenoid"}, "site must be a point for a soft organ"),

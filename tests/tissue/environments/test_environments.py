@@ -100,7 +100,7 @@ def test_an_action_of_another_shape_is_refused_with_the_shape(env):
     env.reset(seed=0)
     count = env.action_space.shape[0]
     for action, got in (
-        (np.zeros(count + 1), rf"got shape \({count + 1},\)"),
+        (np.zeros(count + 1), rf"got an array of shape \({count + 1},\)"),
         ("up", "another type"),
     ):
         with pytest.raises(
@@ -130,7 +130,7 @@ def test_constants_of_a_file_hold_in_an_environment_and_others_are_refused(tmp_p
     np.testing.assert_allclose(forces[1], 2.0 * forces[0], rtol=1e-6)
     modulus = Constant(5.0, 5.0, 5.0, "a test", "L")
     write_fitted(file, {"soft.liver.modulus_kPa": modulus}, np.eye(1))
-    with pytest.raises(InputError, match="must hold a constant that the environment uses"):
+    with pytest.raises(InputError, match="must contain a constant that the environment uses"):
         tissue.environments.Drilling(materials=file).reset(seed=0)
     with pytest.raises(TypeError, match="materials"):
         tissue.environments.Palpation(materials=file)

@@ -95,7 +95,7 @@ def change(lines, number, **entries):
         (lambda lines: [*lines[:3], "[]", *lines[4:]], "with an error in line 4 (no trial). "),
         (
             lambda lines: change(lines, 0, version=9),
-            "log must be of format 1 or older, got 9, written by tissue",
+            "log must have format 1 or older, got format 9 in ",
         ),
         (lambda lines: change(lines, 0, format="other"), "with other content"),
         (lambda lines: change(lines, 0, plan={}), "log must contain a plan in its first line"),

@@ -16,4 +16,4 @@ def test_a_map_is_printed_and_kept(command, here):
     np.testing.assert_allclose(rows["measured_N_m"], rows["exact_N_m"], rtol=0.01)
     assert (rows["passive_N_m"] < rows["exact_N_m"]).all()
     code, _, error = command("stability", "wall", "--out", "map")
-    assert code == 2 and "out must not hold another map" in error
+    assert code == 2 and "out must not contain another map" in error

@@ -131,7 +131,7 @@ def test_hands_are_ranked_by_skill_on_any_device_and_pace(runs, tmp_path):
     assert rows[0].endswith(",depth_limit_mm,intervals_over_depth_limit")
     assert len(rows) == 7 and rows[1].startswith("1,expert,run0,")
     assert [path.name for path in written] == ["ranking.csv", "ranking.png"]
-    with pytest.raises(InputError, match="out must not hold another ranking"):
+    with pytest.raises(InputError, match="out must not contain another ranking"):
         found.save(tmp_path / "out")
 
 

@@ -237,7 +237,7 @@ def test_a_mesh_that_hides_every_constant_is_named(monkeypatch):
     problem = Problem(forward, measured, 0.05, dict, finer=finer, mesh_factor=2.0)
     monkeypatch.setattr("tissue.fitting.fit.organ_problem", lambda *_, **__: problem)
     log = SimpleNamespace(path=Path("log.csv"), notes=(), channels=forward.channels)
-    with pytest.raises(tissue.InputError, match="touch_edge_mm must be fine enough"):
+    with pytest.raises(tissue.InputError, match="touch_edge_mm must be small enough"):
         fit_scene(tissue.load_scene("palpation"), log)
     problem = replace(problem, finer=None)
     assert fit_scene(tissue.load_scene("palpation"), log).constants[0].state == "determined"

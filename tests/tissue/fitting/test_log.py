@@ -264,7 +264,7 @@ def test_positions_in_metres_under_a_name_in_millimetres_ask_for_the_unit(table,
 def test_missing_columns_are_suggested_by_their_headers(table, tmp_path):
     names = ("t [s]", "pos x [mm]", "py", "Z", "wrench.force.x", "Fy [N]", "Fz")
     write_table(Table(names, table.rows), tmp_path / "log.csv")
-    with pytest.raises(InputError, match="measured must hold tool_x_mm") as caught:
+    with pytest.raises(InputError, match="measured must have the columns tool_x_mm") as caught:
         read_log(tmp_path / "log.csv")
     flags = re.findall(r"--column '([^']*)'", str(caught.value))
     assert read_log(tmp_path / "log.csv", flags).loads == pytest.approx(table.rows[:, 4:])
@@ -289,7 +289,7 @@ def test_objects_of_matlab_are_named(tmp_path):
     opaque[0] = (b"log", b"MCOS", b"timetable", np.zeros(1))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("scipy.io.loadmat", lambda *_, **__: {"None": MatlabOpaque(opaque)})
-        with pytest.raises(InputError, match=r"the MATLAB object of class timetable in a\.mat"):
+        with pytest.raises(InputError, match=r"an object of the MATLAB class timetable in a\.mat"):
             mat_columns(tmp_path / "a.mat")
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "b.mat", "w", userblock_size=512) as file:
@@ -298,7 +298,7 @@ def test_objects_of_matlab_are_named(tmp_path):
         file["log"].attrs["MATLAB_object_decode"] = np.int32(3)
     with (tmp_path / "b.mat").open("r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file")
-    with pytest.raises(InputError, match=r"timetable in b\.mat. Write it in MATLAB as CSV"):
+    with pytest.raises(InputError, match=r"timetable in b\.mat. In MATLAB, write it as CSV"):
         read_log(tmp_path / "b.mat")
 
 

@@ -120,8 +120,16 @@ def test_presses_in_other_units_and_names(tmp_path, head, columns):
 @pytest.mark.parametrize(
     ("text", "columns", "sentence"),
     [
-        ("depth_mm,load\n0,1\n1,2\n", (), "hold force_N, got depth_mm, load"),
-        ("depth_mm,force_N\n0,0\n1,1\n2,2\n3,3\n", (), f"hold at least {FEWEST_PROBES} presses"),
+        (
+            "depth_mm,load\n0,1\n1,2\n",
+            (),
+            "have the column force_N, got the columns depth_mm and load",
+        ),
+        (
+            "depth_mm,force_N\n0,0\n1,1\n2,2\n3,3\n",
+            (),
+            f"contain at least {FEWEST_PROBES} complete presses",
+        ),
         ("depth_mm,force_N\n0,0\n1,1\n", ("load=force_N",), "column"),
     ],
 )
@@ -146,15 +154,20 @@ def test_a_scene_that_is_no_uniform_slab_is_refused(scene, sentence):
 
 
 def test_a_ball_that_is_pressed_too_deep_is_refused():
-    with pytest.raises(InputError, match=r"depths up to 3\.2 mm \(0\.8 radii"):
+    with pytest.raises(
+        InputError,
+        match=r"depths of at most 3\.2 mm, the smaller of 0\.8 radii .* got a depth of 5 mm",
+    ):
         probe_curves(layer_scene(slab()), np.array([1e-3, 5e-3]), ())
 
 
 def test_all_reasons_against_a_table_are_given_in_one_message(tmp_path):
     path = written(tmp_path / "presses.csv", [2.0 * DEPTHS_M])
-    with pytest.raises(InputError, match=r"at least 3 presses.*\. anatomy\.kind must be slab"):
+    with pytest.raises(
+        InputError, match=r"at least 3 complete presses.*\. anatomy\.kind must be slab"
+    ):
         tissue.fit(load_scene("liver-press"), path)
-    with pytest.raises(InputError, match=r"at least 3 presses.*depths up to 0\.8 mm"):
+    with pytest.raises(InputError, match=r"at least 3 complete presses.*depths of at most 0\.8 mm"):
         tissue.fit(load_scene("palpation", FLAT | {"tool.diameter_mm": 2.0}), path)
 
 

@@ -100,12 +100,12 @@ def test_the_checksum_of_a_long_body_is_that_of_its_bytes_one_by_one(size):
 @pytest.mark.parametrize(
     ("vector", "problem"),
     [
-        ("crc_mismatch", "another checksum than its body has"),
+        ("crc_mismatch", "checksum does not match its body"),
         ("version_zero", "a header of version 0"),
         ("version_future", "a header of version 99"),
-        ("ext_header_size_below_minimum", "sizes that its message does not have"),
-        ("ext_header_size_exceeds_body", "sizes that its message does not have"),
-        ("region_overflow", "sizes that its message does not have"),
+        ("ext_header_size_below_minimum", "sizes do not match its message"),
+        ("ext_header_size_exceeds_body", "sizes do not match its message"),
+        ("region_overflow", "sizes do not match its message"),
         ("transform_body_47", "a TRANSFORM of 47 bytes instead of 48"),
         ("transform_body_49", "a TRANSFORM of 49 bytes instead of 48"),
     ],

@@ -219,7 +219,7 @@ def test_forces_on_another_clock_are_refused_for_a_fit(tmp_path):
     spoil(f"{EVENTS}/drill_force_feedback/time_stamp", TIMES_S[::20])(path)
     read_replay(path)  # which needs none
     with pytest.raises(
-        InputError, match=r"measured must hold forces in the time span of the poses.*the same clock"
+        InputError, match=r"measured must have forces in the time span of the poses.*the same clock"
     ):
         read_log(path)
 

@@ -113,7 +113,7 @@ def test_over_depth_the_pace_does_not_count():
     assert len(overlay([slow, fast, hard])) == 1
     above = Curve("above", pressing(3.0, speed_mm_s=0.1))
     assert chosen_over([above]) == "time"
-    with pytest.raises(InputError, match="above without contact"):
+    with pytest.raises(InputError, match="got above, which has no contact"):
         overlay([above], over="depth")
 
 
@@ -238,7 +238,7 @@ def test_files_are_written_once(run, other, tmp_path):
         next(row["faster"] for row in rows if row["figure"] == "removed_mm3")
     ) == pytest.approx(other.summary["removed_mm3"]["cortical"])
     assert picture.stat().st_size > 20_000 and not pyplot.get_fignums()
-    with pytest.raises(InputError, match="out must not hold another comparison"):
+    with pytest.raises(InputError, match="out must not contain another comparison"):
         found.save(tmp_path / "out")
 
 

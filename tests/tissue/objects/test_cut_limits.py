@@ -122,7 +122,9 @@ def test_chips_beyond_the_law_are_warned_of_and_absurd_ones_refused():
         "0.2 mm per tooth" in beyond.notes["chips"] and beyond.events[0][1] == beyond.notes["chips"]
     )
     for spin, feed, chip in ((10, 5, "5 mm"), (1, 500, r"5e\+03 mm")):
-        with pytest.raises(tissue.InputError, match=f"tool's radius of 1.5 mm, got {chip}"):
+        with pytest.raises(
+            tissue.InputError, match=f"tool's radius of 1.5 mm, got a chip of {chip}"
+        ):
             slot(spin, feed)
 
 

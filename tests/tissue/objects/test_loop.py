@@ -165,7 +165,7 @@ def test_an_organ_pushes_back_as_when_it_is_pressed():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"device": object()}, "device must have read and command"),
+        ({"device": object()}, "device must have the methods read and command"),
         ({"device": Moves}, r"got the class Moves. Give Moves\(\)"),
         ({"predictor": Line}, r"got the class Line. Give Line\(\)"),
         ({"limits": {"mass": 0.1}}, "did you mean mass_kg"),
@@ -180,7 +180,10 @@ def test_an_organ_pushes_back_as_when_it_is_pressed():
         ({"low_pass_ms": -1.0}, "^low_pass_ms must"),
         ({"motion_scale": 0.0}, "^motion_scale must"),
         ({"predictor": object()}, "must have observe and predict"),
-        ({"predictor_file": "a.npz"}, "predictor_file must be given with"),
+        (
+            {"predictor_file": "a.npz"},
+            "predictor_file must be given only if predictor is a name, got predictor=None",
+        ),
         ({"axis": (0, 0, 0)}, "axis must"),
         ({"reach_mm": 0.0}, "reach_mm must"),
         ({"delay_ms": 0.5}, "delay_ms"),

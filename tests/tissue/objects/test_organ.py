@@ -79,7 +79,8 @@ def test_parts_are_known_by_name_by_number_and_by_array():
     assert forces[1:] == pytest.approx([forces[1]] * 3, rel=1e-9)
     with pytest.raises(
         InputError,
-        match=r"parts must name parts of the mesh, got 'tumour'\. Use parts of the mesh, which has cyst, kidney",
+        match=r"parts must name parts of the mesh, got 'tumour'\. Use names of its parts: cyst, "
+        "kidney",
     ):
         tissue.Organ.from_tetrahedra(
             grid_of(points, cells, part=names), parts={"tumour": 80}, **STIFF
@@ -273,11 +274,12 @@ def pressing(**changes):
         (changed(poisson_ratio=0.5), "poisson_ratio must be in [-0.999, 0.4999], got 0.5"),
         (
             changed(parts={"cyst": 40}),
-            "parts must name parts of the mesh, got 'cyst'. Use parts of the mesh, which has body",
+            "parts must name parts of the mesh, got 'cyst'. Use names of its parts: body",
         ),
         (
             changed(held="left"),
-            "held must be one of bottom, top, -x, +x, -y, +y, -z, +z, body or points, got 'left'",
+            "held must be one of bottom, top, -x, +x, -y, +y, -z, +z, body, or an array of points, "
+            "got 'left'",
         ),
         (changed(held=[]), "held must"),
         (
@@ -290,12 +292,12 @@ def pressing(**changes):
         (changed(capsule=(50, 0)), "capsule must be positive"),
         (
             pressing(at_mm=(0, 0, 30)),
-            "at_mm must lie on the surface, got (0, 0, 30). The nearest point of the surface",
+            "at_mm must lie on the surface, got (0, 0, 30). Use the nearest point of the surface",
         ),
         (pressing(at_mm=(0, 0)), "at_mm must be three finite numbers"),
         (
             pressing(along=(0, 0, 1)),
-            "along must lead into the organ, got (0, 0, 1). Use (0, 0, -1)",
+            "along must point into the organ, got (0, 0, 1). Use (0, 0, -1)",
         ),
         (pressing(depth_mm=0), "depth_mm must be positive"),
         (pressing(at_mm=(0, 0, -24)), "at_mm must bring the tool to tissue that can move"),
@@ -392,7 +394,7 @@ def test_a_press_whose_force_falls_with_depth_is_refused():
     organ = tissue.Organ.block((40, 40, 20), modulus_kPa=8, poisson_ratio=0.45, edge_mm=4, order=1)
     with pytest.raises(
         InputError,
-        match=r"depth_mm must be a depth up to which the force increases, got 14, .*[Pp]ress less",
+        match=r"depth_mm must be a depth up to which the force increases, got 14, .*Use a smaller depth",
     ):
         organ.press(tissue.ball(diameter_mm=12), depth_mm=14, at_mm=(0, 0, 0))
 

@@ -189,7 +189,7 @@ def test_a_device_is_opened_where_a_scene_names_it(command, here):
     code, output, error = command(*words, "--duration-s", 0.1)
     assert (code, error) == (0, "") and "sprung" in output and Sprung.opened == opened + 1
     with pytest.raises(
-        InputError, match=r"device.kind must be one of touch, .*, sprung, got spring"
+        InputError, match=r"device.kind must be one of touch, .* or sprung, got spring"
     ):
         load_scene("wall", {"device": "spring"})
 
@@ -356,7 +356,10 @@ REFUSED = {
     "kind": (lambda: register.motion("drop", Dip, Dipping), r'kind: Literal\["drop'),
     "no part": (lambda: register.motion("dip", Drift, Dipping), "parameters of the motion dip "),
     "number": (lambda: register.device("mine", LIGHT | {"mass": 1.0}), "mean mass_kg"),
-    "numbers": (lambda: register.device("mine", {"mass_kg": 1.0}), "got none for damping_N_s_m"),
+    "numbers": (
+        lambda: register.device("mine", {"mass_kg": 1.0}),
+        "got no value for damping_N_s_m",
+    ),
     "no mapping": (
         lambda: register.device("mine", 3),
         "numbers must be DeviceParameters or .* mass_kg",
@@ -386,7 +389,7 @@ def test_what_cannot_be_registered_is_refused_in_a_sentence(case):
     [
         ("[bone.foam.a]", "bone in"),
         (FOAM.replace("cutting.foam", "cutting.bone"), "got bone in"),
-        (FOAM.replace("radial_chip_N_mm2", "chip"), "got none for radial_chip_N_mm2 in"),
+        (FOAM.replace("radial_chip_N_mm2", "chip"), "got no value for radial_chip_N_mm2 in"),
         (f"{FOAM}\n[cutting.foam.chip]\nvalue = 1.0", "Remove chip"),
         (FOAM.replace('"made up"', '""'), "tangential_chip_N_mm2.source"),
         (FOAM.replace("15.0", "1500.0"), "tangential_chip_N_mm2 .*1500"),

@@ -27,7 +27,7 @@ def test_a_copy_of_a_saved_run_is_that_run(back, tmp_path):
     copy = tissue.open_run(tissue.open_run(back.path).save(tmp_path / "copy", **options))
     assert copy.summary == back.summary and np.array_equal(copy.remaining, back.remaining)
     assert (tmp_path / "copy/trace.npz").is_file() and not (back.path / "trace.npz").exists()
-    with pytest.raises(InputError, match="must not hold another run"):
+    with pytest.raises(InputError, match="must not contain another run"):
         tissue.open_run(back.path).save(tmp_path / "copy")
     again = tissue.open_run(tmp_path / "copy")
     again.save(tmp_path / "copy", formats=["mat"], pictures=False)

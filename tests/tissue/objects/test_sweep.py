@@ -208,7 +208,10 @@ def test_formats_are_written_and_runs_of_other_scenes_are_not_replaced(pressed, 
     with pytest.raises(InputError, match=r"^seed must have different values, got 2 twice\."):
         tissue.sweep(pressed, {"seed": [1, 2, 2]}, out=out / "other")
     other = tissue.load_scene("wall", {"duration_s": 0.05, "hand": "novice"})
-    with pytest.raises(InputError, match=r"out must hold runs of this scene, .*seed=1"):
+    with pytest.raises(
+        InputError,
+        match=r"out must contain only runs of this scene, got a run of another scene in .*seed=1",
+    ):
         tissue.sweep(other, {"seed": [1, 2]}, out=out)
     foreign = out / "seed=3"
     foreign.mkdir()
@@ -362,7 +365,10 @@ def test_a_sweep_with_a_fidelity_is_continued(pressed, out, monkeypatch):
     assert len(tissue.sweep(demanding, {"seed": [1, 2]}, out=out).finished) == 2
     assert (out / "seed=1/trace.csv").stat().st_mtime_ns == before
     stricter = changed(demanding, {"fidelity.force_error": 0.1})
-    with pytest.raises(InputError, match=r"out must hold runs of this scene, .*seed=1"):
+    with pytest.raises(
+        InputError,
+        match=r"out must contain only runs of this scene, got a run of another scene in .*seed=1",
+    ):
         tissue.sweep(stricter, {"seed": [1, 2]}, out=out)
 
 
@@ -373,7 +379,7 @@ def test_a_run_of_a_scene_with_more_tables_is_another(tmp_path):
     run = SweptRun("molar", {}, tmp_path, scene=whole)
     assert module._unfinished([run], overwrite=False) == []
     part = replace(run, scene=changed(whole, {"stress": None}))
-    with pytest.raises(InputError, match="out must hold runs of this scene"):
+    with pytest.raises(InputError, match="out must contain only runs of this scene, got"):
         module._unfinished([part], overwrite=False)
     with pytest.raises(InputError, match=r"summary\.json"):
         _ = run.figures

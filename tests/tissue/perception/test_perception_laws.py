@@ -120,7 +120,7 @@ def test_the_estimate_follows_the_command(choice):
 
 def test_unknown_names_are_refused():
     with pytest.raises(
-        InputError, match="perception must be one of none, population, observer:FILE, got expert"
+        InputError, match="perception must be one of none, population or observer:FILE, got expert"
     ):
         built("expert")
     with pytest.raises(InputError, match=r"observer must be an observer file, got nowhere.json"):

@@ -123,7 +123,7 @@ def again(path, **changed):
 @pytest.mark.parametrize(
     ("changed", "sentence"),
     [
-        ({"version": 6}, "must be of format 5 or older, got 6"),
+        ({"version": 6}, "must have format 5 or older, got format 6 in"),
         ({"version": 4}, "must be of version 5, got version 4 in"),
         ({"scene": "liver"}, "must be trained for the scene wall, got a predictor for liver"),
         ({"format": "other"}, "must be a file that 'tissue train' wrote"),

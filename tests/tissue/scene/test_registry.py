@@ -75,7 +75,7 @@ def test_a_renderer_from_outside_plays(added):
     assert not np.array_equal(force_N(soft), force_N(stiff))
     with pytest.raises(
         InputError,
-        match=r"renderer must be one of penalty, passivity, proxy, half, got halv \(did you",
+        match=r"renderer must be one of penalty, passivity, proxy or half, got halv \(did you",
     ):
         load_scene("wall", {"renderer": "halv"})
     assert (

@@ -160,7 +160,7 @@ def test_the_cut_of_a_long_bone_is_refused_within_the_reach_however_small_its_sh
         return
     with pytest.raises(
         InputError,
-        match=r"^anatomy\.file must enclose a solid where the tool goes, got s\.stl with a",
+        match=r"^anatomy\.file must enclose a solid where the tool moves, got s\.stl with a",
     ):
         simulate(load_scene("milling", scene))
 

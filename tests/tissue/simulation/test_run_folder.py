@@ -97,7 +97,7 @@ def test_a_trace_shorter_than_its_run_is_refused(made, tmp_path, share):
     lines = table.read_text().splitlines(keepends=True)
     table.write_text("".join(lines[: round(share * len(lines))]))
     found = max(round(share * len(lines)) - 1, 0)
-    with pytest.raises(InputError, match=rf"trace.csv must hold 600 ticks .*, got {found} in"):
+    with pytest.raises(InputError, match=rf"trace.csv must have 600 rows, .*, got {found} in"):
         SavedRun(folder)
     summary = json.loads((folder / "summary.json").read_text())
     (folder / "summary.json").write_text(json.dumps(summary | {"status": "interrupted"}))

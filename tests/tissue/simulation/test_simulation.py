@@ -23,7 +23,9 @@ def run():
 
 
 def test_a_coefficient_without_effect_is_refused_with_its_value():
-    with pytest.raises(InputError, match=r"density_exponent .*got 1\.5. Set another coefficient"):
+    with pytest.raises(
+        InputError, match=r"^cutting.density_exponent must be left out .*\. Set another"
+    ):
         run_of(cutting__density_exponent=1.5)
 
 

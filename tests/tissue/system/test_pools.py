@@ -27,7 +27,7 @@ def dask_config():
 def test_an_address_that_dask_does_not_print_is_refused(address):
     message = (
         "scheduler must be the address that Dask prints, tcp://HOST:PORT or tls://HOST:PORT, "
-        f"got {address}. Use"
+        f"got {address or 'an empty value'}. Use"
     )
     with pytest.raises(InputError, match=re.escape(message)), executor(1, address, patience_s=0.2):
         pass
@@ -36,7 +36,8 @@ def test_an_address_that_dask_does_not_print_is_refused(address):
 def test_tls_without_certificates_names_what_to_set(dask_config, tmp_path):
     with (
         pytest.raises(
-            InputError, match=r"DASK_DISTRIBUTED__COMM__TLS__CA_FILE must name a file .* got none"
+            InputError,
+            match=r"DASK_DISTRIBUTED__COMM__TLS__CA_FILE must be the path of a certificate file .* got none",
         ),
         executor(1, "tls://127.0.0.1:9", patience_s=0.2),
     ):
@@ -51,7 +52,7 @@ def test_tls_without_certificates_names_what_to_set(dask_config, tmp_path):
         dask_config.set(missing),
         pytest.raises(
             InputError,
-            match=r"DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT must name .*none, which is no file",
+            match=r"DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT must be the path of .*none, which is not a file",
         ),
         executor(1, "tls://127.0.0.1:9", patience_s=0.2),
     ):

@@ -149,16 +149,22 @@ def require_band(
         # more processes than any machine has cores: a typing error
         require_range("workers", workers, 1, 4096, "use one for each core")
     is_rerun = bool(why_not_linear(scene)) or each_run
-    without_effect = {
-        "each_run": each_run and bool(why_not_linear(scene)),
-        "workers": workers is not None and (scheduler is not None or not is_rerun),
-        "scheduler": scheduler is not None and not is_rerun,
-    }
-    for name, has_none in without_effect.items():
-        if has_none:
-            how = "every sample is run" if is_rerun else "the geometry is recorded once"
+    if each_run and why_not_linear(scene):
+        raise InputError(
+            "each_run",
+            "be left out for a scene whose samples are always separate runs",
+            PRESENT,
+            "remove it",
+        )
+    if workers is not None and scheduler is not None and is_rerun:
+        raise InputError("workers", "be left out with a scheduler", PRESENT, "remove it")
+    for name, value in (("workers", workers), ("scheduler", scheduler)):
+        if value is not None and not is_rerun:
             raise InputError(
-                name, "be left out where it has no effect", PRESENT, f"remove it: {how}"
+                name,
+                "be left out if the loads of all samples follow from one run",
+                PRESENT,
+                "remove it, or set each_run",
             )
 
 
@@ -250,9 +256,9 @@ def _samples(
     if not ranges.names:
         raise InputError(
             "band",
-            "be given for a scene that uses constants with a range",
-            "none",
-            "leave band out",
+            "be left out for a scene whose constants have no range",
+            PRESENT,
+            "remove it",
         )
     free = normals(rounded(asked), len(ranges.names), seed=seed)
     values = ranges.x(free)
@@ -294,11 +300,11 @@ def _rerun(
     if density_prior(run.parts.notes.get("density law", "")) is not None and is_linear:
         raise InputError(
             "each_run",
-            "be left out where the density of an image varies within its law's band",
+            "be left out if the density law of the image is uncertain",
             PRESENT,
             (
-                "remove it to reweigh the recorded loads: a file of materials cannot hold "
-                "that density"
+                "remove it, because a file of materials for each run cannot contain an uncertain "
+                "density"
             ),
         )
     ranges = ranges_of(scene, run.trace.layer_names)
@@ -310,9 +316,9 @@ def _rerun(
         reasons = "; ".join(f"{name}: {why}" for name, why in list(problems.items())[:3])
         raise InputError(
             "band",
-            f"have samples of which at most {MOST_FAILED:.0%} fail",
-            f"{len(problems)} of {len(files)} ({reasons})",
-            "narrow the ranges in a file of materials",
+            f"have at most {MOST_FAILED:.0%} failed samples",
+            f"{len(problems)} failed samples of {len(files)} ({reasons})",
+            "narrow the ranges of the constants in a file of materials",
         )
     kept = np.array([at for at, each in outcomes if not isinstance(each, str)])
     held = [each for _, each in outcomes if not isinstance(each, str)]
@@ -372,7 +378,7 @@ def require_same(band: Band, loads: Array) -> None:
     raise InputError(
         "band",
         "belong to a complete run of the unchanged scene",
-        f"{len(loads)} ticks of a run, and a band of {count} ticks",
+        f"a run of {len(loads)} ticks and a band of {count} ticks, with different loads",
         "run the scene again",
     )
 
@@ -447,7 +453,9 @@ def read_band(folder: Path) -> Band:
     """
     held = read_summary(folder).get("band")
     if held is None:
-        raise InputError("run", "have a band", f"none in {folder}", "make one with run.band(200)")
+        raise InputError(
+            "run", "have a band", f"none in {folder}", "compute one with run.band(200)"
+        )
     (_, times) = _read(folder / OVER_TIME)
     (header, samples) = _read(folder / SAMPLES)
     constants = tuple(held["constants"])
@@ -459,7 +467,7 @@ def read_band(folder: Path) -> Band:
             "band.csv",
             "be unchanged since run.band wrote it",
             f"a changed file in {folder}",
-            "make the band again",
+            "compute the band again",
         )
     over = np.moveaxis(quantiles.reshape(len(times), len(CHANNELS), len(LEVELS)), 2, 0)
     names = tuple(tuple(name.split(SEPARATOR)) for name in header[width:])
@@ -491,5 +499,5 @@ def _read(path: Path) -> tuple[list[str], Array]:
             return next(csv.reader(file)), np.loadtxt(file, delimiter=",", ndmin=2)
     except (OSError, ValueError, StopIteration):
         raise InputError(
-            path.name, "be a table of numbers", f"other content in {path}", "make the band again"
+            path.name, "be a table of numbers", f"other content in {path}", "compute the band again"
         ) from None

@@ -8,6 +8,7 @@ from math import ceil
 
 import numpy as np
 import warp as wp
+from scipy import sparse
 
 from kernels.conduction import OPEN, conduct
 from kernels.launcher import SplitLaunch
@@ -21,14 +22,14 @@ GROWTH = (1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 4, 5, 6)
 """Widths of the cells outside the fine part of the grid [voxel], from inside to outside.
 
 The last width is repeated up to the end of the grid. In the molar scene, the peak temperature rise
-of the pulp is 9 % lower than with equal cells of 0.25 mm. With widths of (1, 1, 2, 2, 3, 4, 5, 6),
-it is 33 % lower.
+of the pulp is 1.8 % higher than with equal cells of 0.25 mm. With widths of (1, 1, 2, 2, 3, 4, 5,
+6), it is 4.3 % higher.
 """
 LEAST_FILLED = 0.02
 """Fraction of material below which a cell is treated as empty.
 
 The heat capacity of such a cell is negligible. For values from 0.002 to 0.1, the peak temperature
-rise of the pulp in the molar scene changes by 0.4 %.
+rise of the pulp in the molar scene changes by 0.6 %.
 """
 
 SAME_FACE = 1e-6
@@ -56,6 +57,9 @@ class HeatGrid:
         Volumetric heat capacity of the material [J/(m3 K)], shape (nx, ny, nz); positive.
     pulp
         True for cells whose material is mostly pulp, shape (nx, ny, nz).
+    pulp_wall_m
+        Points of the pulp wall [m], shape (n, 3): centres of the faces between voxels of pulp and
+        voxels of other material. Cells may be larger than voxels.
     """
 
     edges_m: tuple[Array, Array, Array]
@@ -63,6 +67,7 @@ class HeatGrid:
     conductivity_W_mK: Array
     heat_capacity_J_m3K: Array
     pulp: Flags
+    pulp_wall_m: Array
 
     @classmethod
     def of_volume(
@@ -111,6 +116,7 @@ class HeatGrid:
             np.where(held > 0.0, _merged(fraction * capacity, starts) / some, 1.0),
             # A cell belongs to the pulp if most of its material is pulp.
             _merged(fraction * is_pulp, starts) > 0.5 * some,
+            _wall_m(is_pulp & (fraction > 0.0), ~is_pulp & (fraction > 0.0), tissue),
         )
 
     @property
@@ -146,37 +152,38 @@ class HeatGrid:
             found.append(np.ascontiguousarray(np.moveaxis(along, 0, axis)))
         return tuple(found)
 
-    def pulp_wall(self) -> tuple[Ints, Ints, Array]:
-        """Return the faces between the pulp and the material around it.
+    def interpolation(self, points_m: Array) -> sparse.csr_array:
+        """Return weights that interpolate linearly between the centres of the cells.
+
+        Parameters
+        ----------
+        points_m
+            Points [m], shape (n, 3). Between the outermost centres and the end of the grid, the
+            value of the outermost cell is used.
 
         Returns
         -------
-        Flat index of the pulp cell at each face, flat index of the cell on the other side of the
-        face, and weight w of the pulp cell. The temperature of a face is w times the temperature of
-        the pulp cell plus 1 - w times the temperature of the other cell. At this temperature the
-        fluxes through the two half cells are equal.
+        Weights of the flat cells at each point, shape (n, cells). The weights of a point sum to 1.
         """
-        inner = []
-        outer = []
-        weights = []
-        index = np.arange(self.filled.size).reshape(self.filled.shape)
-        is_held = self.filled > 0.0
-        for axis, width in enumerate(self.widths_m):
-            d = width.reshape([-1 if at == axis else 1 for at in range(3)])
-            half = np.moveaxis(self.conductivity_W_mK / d, axis, 0)
-            at = np.moveaxis(index, axis, 0)
-            held = np.moveaxis(is_held, axis, 0)
-            pulp = np.moveaxis(self.pulp, axis, 0)
-            both = held[1:] & held[:-1]
-            for one, other in (
-                (slice(None, -1), slice(1, None)),
-                (slice(1, None), slice(None, -1)),
-            ):
-                face = both & pulp[one] & ~pulp[other]
-                inner.append(at[one][face])
-                outer.append(at[other][face])
-                weights.append(half[one][face] / (half[one][face] + half[other][face]))
-        return np.concatenate(inner), np.concatenate(outer), np.concatenate(weights)
+        first = []
+        share = []
+        for edges, places in zip(self.edges_m, points_m.T, strict=True):
+            centres = 0.5 * (edges[1:] + edges[:-1])
+            cell = np.clip(np.searchsorted(centres, places) - 1, 0, max(len(centres) - 2, 0))
+            after = np.minimum(cell + 1, len(centres) - 1)
+            gap = np.maximum(centres[after] - centres[cell], 1e-30)
+            part = np.clip((places - centres[cell]) / gap, 0.0, 1.0)
+            first.append((cell, after))
+            share.append((1.0 - part, part))
+        rows = np.arange(len(points_m))
+        weights = sparse.csr_array((len(points_m), self.filled.size))
+        for corner in range(8):
+            ends = (corner >> 2, (corner >> 1) & 1, corner & 1)
+            at = [pair[end] for pair, end in zip(first, ends, strict=True)]
+            part = share[0][ends[0]] * share[1][ends[1]] * share[2][ends[2]]
+            columns = np.ravel_multi_index(at, self.filled.shape)
+            weights += sparse.csr_array((part, (rows, columns)), weights.shape)
+        return weights
 
     def cells_at(self, points_m: Array) -> Ints:
         """Return the flat indices of the cells that hold points [m], shape (n, 3).
@@ -221,6 +228,19 @@ class HeatGrid:
                 np.ravel_multi_index(at, self.filled.shape), part[there], minlength=len(found)
             )
         return found
+
+
+def _wall_m(is_pulp: Flags, is_other: Flags, tissue: VoxelVolume) -> Array:
+    """Return centres of the faces between voxels of pulp and other voxels [m], shape (n, 3)."""
+    centres = []
+    for axis in range(3):
+        pulp = np.moveaxis(is_pulp, axis, 0)
+        other = np.moveaxis(is_other, axis, 0)
+        is_face = (pulp[1:] & other[:-1]) | (other[1:] & pulp[:-1])
+        voxels = np.argwhere(np.moveaxis(is_face, 0, axis)) + 0.5
+        voxels[:, axis] += 0.5
+        centres.append(tissue.origin_m + tissue.spacing_m * voxels)
+    return np.concatenate(centres)
 
 
 def _cells(edges_m: Array, places_m: Array) -> Ints:

@@ -23,7 +23,7 @@ from tissue.materials.scene_constants import Materials
 from tissue.scene.anatomy import Tooth
 from tissue.scene.load import names_file
 from tissue.scene.messages import error_of
-from tissue.scene.part import Part, entries
+from tissue.scene.part import Part, entries, enumerated
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import Used, used_constants
@@ -110,8 +110,8 @@ def given_note(
         if table == "cutting" and layer not in known:
             raise InputError(
                 "materials",
-                "name a material of cutting or a layer",
-                f"{layer}{nearest(layer, known)} in {name}",
+                "have tables [cutting.NAME] only for known materials and layers",
+                f"[cutting.{layer}]{nearest(layer, known)} in {name}",
                 f"use one of {', '.join(known)}",
             )
     used = {one.full: one for one in used_constants if one.full in given.given}
@@ -125,7 +125,7 @@ def given_note(
             part = part.replace("soft.", "organ.")
             raise InputError(
                 part,
-                f"be left out where materials states {full}",
+                f"be left out if the file of materials contains {full}",
                 shown(one.stated),
                 "remove one of the two",
             )
@@ -185,9 +185,9 @@ def _require_some(given: Materials, used: Sequence[Used], *, by: str) -> None:
         names = [one.full for one in used if one.stated is None]
         raise InputError(
             "materials",
-            f"hold a constant that the {by} uses",
-            f"{', '.join(given.given)} in {Path(given.file).name}",
-            f"use one of {', '.join(names)}, or leave materials out",
+            f"contain a constant that the {by} uses",
+            f"only {enumerated(list(given.given))} in {Path(given.file).name}",
+            f"use one of {', '.join(names)}; or leave materials out",
         )
 
 
@@ -242,7 +242,7 @@ def _triangles(name: str, given: Any) -> tuple[Array, Ints]:
             return vertices.astype(np.float64), faces.astype(np.int64)
     raise InputError(
         name,
-        "be a closed surface of pyvista or trimesh, vertices and triangles, or a file",
-        type(given).__name__,
-        "export it as STL",
+        "be a closed surface of pyvista or trimesh, a pair (vertices, triangles) or a file name",
+        f"the type {type(given).__name__}",
+        "export the surface as STL and give the name of this file",
     )

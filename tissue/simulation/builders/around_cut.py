@@ -36,7 +36,7 @@ HEAT_CELL = 0.25
 """Ratio of the edge of temperature cells in reach of the bur to the edge of stress cells.
 
 By default the temperature cells have an edge of 0.125 mm. The temperature rise of the pulp in the
-molar scene is 0.614, 0.731 and 0.749 K with cells of 0.25, 0.125 and 0.083 mm.
+molar scene is 0.685, 0.769 and 0.806 K with cells of 0.25, 0.125 and 0.075 mm.
 """
 
 

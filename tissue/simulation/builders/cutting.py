@@ -9,7 +9,7 @@ import warp as wp
 
 from kernels.bricks import FULL
 from meshes.base.arrays import Array, Bytes
-from meshes.base.errors import InputError
+from meshes.base.errors import PRESENT, InputError
 from meshes.base.progress import Progress, silent
 from meshes.paths.toolpath import arc_length, points_along
 from meshes.voxels.volume import VoxelVolume
@@ -182,8 +182,8 @@ def _require_chips(scene: Scene, cutter: Cutter) -> None:
     if chip_mm > radius_mm:
         raise InputError(
             "motion.feed_mm_s",
-            f"give chips for each tooth thinner than the tool's radius of {radius_mm:.3g} mm",
-            f"{scene.motion.feed_mm_s:g}, which gives chips of {chip_mm:.3g} mm",
+            f"keep the chips of each tooth thinner than the tool's radius of {radius_mm:.3g} mm",
+            f"{scene.motion.feed_mm_s:g}, which makes chips of {chip_mm:.3g} mm",
             "use a slower feed, or a higher tool.spin_rpm",
         )
 
@@ -196,8 +196,9 @@ def _replaced_note(scene: Scene, layers: list[str]) -> dict[str, str]:
         return {}
     keys = ", ".join(f"cutting.{key}" for key in given)
     return {
-        "cutting": f"{keys} of the scene applies to all layers: {', '.join(layers)}. A file of "
-        f"materials sets the layers of one material, by a table such as [cutting.{cut_as[0]}]"
+        "cutting": f"the scene sets {keys} for all layers: {', '.join(layers)}. To change the "
+        "layers of one material only, use a file of materials with a table such as "
+        f"[cutting.{cut_as[0]}]"
     }
 
 
@@ -213,11 +214,12 @@ def _require_effect(scene: Scene, volume: VoxelVolume, layers: list[str]) -> Non
             raise InputError(
                 "cutting.density_exponent",
                 (
-                    "be left out if all bone in reach of the tool has the density of the "
-                    "coefficients"
+                    "be left out if all bone in reach of the tool has the reference density of "
+                    "the coefficients"
                 ),
                 f"{cutting.density_exponent:g}",
-                "set another coefficient such as cutting.tangential_chip_N_mm2, or remove it",
+                "set another coefficient such as cutting.tangential_chip_N_mm2, or remove "
+                "cutting.density_exponent",
             )
     if is_given(cutting, "material") and set(layers) <= set(CUT_AS):
         raise InputError(
@@ -227,7 +229,7 @@ def _require_effect(scene: Scene, volume: VoxelVolume, layers: list[str]) -> Non
                 "have their own material"
             ),
             cutting.material,
-            "set a coefficient such as cutting.tangential_chip_N_mm2, or remove it",
+            "set a coefficient such as cutting.tangential_chip_N_mm2, or remove cutting.material",
         )
     if (
         isinstance(anatomy, MolarAnatomy)
@@ -239,7 +241,7 @@ def _require_effect(scene: Scene, volume: VoxelVolume, layers: list[str]) -> Non
             "anatomy.ligament_thickness_mm",
             "be left out if the tool reaches no ligament and no stress is computed",
             f"{anatomy.ligament_thickness_mm:g}",
-            "add [stress], or remove it",
+            "add [stress], or remove anatomy.ligament_thickness_mm",
         )
 
 
@@ -256,8 +258,8 @@ def _probed(volume: VoxelVolume, cutter: Cutter, motion: Motion, *, compute: str
                 "not be 0 without a device, because the given motion would push a tool "
                 "that cuts nothing through the bone"
             ),
-            "0",
-            "use 500, or device = touch",
+            PRESENT,
+            "use a spin such as 500, or set device = touch",
         )
     shell = ToolShell.of_cutter(cutter)
     return ProbedBone(

@@ -139,9 +139,7 @@ def _unknown_structure(name: str, anatomy: CutAnatomy, shapes: Mapping[str, Shap
         remedy = f"use {known[0]}, or {remedy}"
     elif name == "pulp" and isinstance(anatomy, MolarSurfaces):
         remedy = "set anatomy.pulp_file"
-    return InputError(
-        "keep_clear.names",
-        f"be structures of the anatomy ({', '.join(known) or 'none'})",
-        shown(name),
-        remedy,
-    )
+    named = f"structures of the anatomy ({', '.join(known)})"
+    if not known:
+        named = "structures of the anatomy, which has none"
+    return InputError("keep_clear.names", f"be {named}", shown(name), remedy)

@@ -471,23 +471,23 @@ def _refusal(settings: LoopSettings, verdict: Verdict, stiffness: float, key: st
     if verdict.critical_N_m == 0.0 and not settings.scene_name:  # a loop that a caller made
         return InputError(
             "delay_ms",
-            "allow a stable stiffness",
+            "be small enough for a stable coupling",
             f"{settings.coupling.delay_ms:g}",
-            f"lower delay_ms or low_pass_ms, use another predictor, or {allow}",
+            f"reduce delay_ms or low_pass_ms, use another predictor, or {allow}",
         )
     if verdict.critical_N_m == 0.0:
         return InputError(
             "coupling.damping_N_s_m",
-            "allow a stable stiffness",
+            "be small enough for a stable coupling",
             f"{settings.coupling.damping_N_s_m:g}",
-            "lower it, coupling.delay_ms, output.low_pass_ms or coupling.prediction_gain, or "
+            "reduce it, coupling.delay_ms, output.low_pass_ms or coupling.prediction_gain, or "
             f"{allow}",
         )
     return InputError(
         f"coupling.{key}",
         f"be below {verdict.critical_N_m:.4g} to be stable with device = {settings.name} in the "
         f"hand of {person_of(settings.held.hand)}",
-        f"{stiffness:g} (margin {100.0 * verdict.margin:.1f} %)",
+        f"{stiffness:g} (stability margin {100.0 * verdict.margin:.1f} %)",
         f"use {verdict.nearest_N_m:g}, or {allow}",
     )
 

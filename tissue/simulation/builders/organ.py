@@ -281,7 +281,7 @@ def _nodule(anatomy: WithNodule) -> Nodule | None:
             f"be at least twice anatomy.edge_mm ({anatomy.edge_mm:g})",
             f"{anatomy.nodule_diameter_mm:g}",
             (
-                f"use {2.0 * anatomy.edge_mm:g}, or anatomy.edge_mm = "
+                f"use {2.0 * anatomy.edge_mm:g}, or set anatomy.edge_mm = "
                 f"{0.5 * anatomy.nodule_diameter_mm:g}"
             ),
         )
@@ -301,7 +301,7 @@ def _from_file(
             "anatomy.edge_mm",
             "be left out for tetrahedra from a file",
             f"{anatomy.edge_mm:g}",
-            "set anatomy.touch_edge_mm to divide them near the tool, or remove it",
+            "set anatomy.touch_edge_mm to divide them near the tool, or remove anatomy.edge_mm",
         )
     mesh = found.mesh
     turn = frame_along(anatomy.normal)
@@ -404,7 +404,7 @@ def law_of(organ: Organ, lame_Pa: Array) -> tuple[Hyperelastic, Array] | None:
             "not be combined",
             f"{organ.law} and {shown(getattr(organ, name))}",
             (
-                f"set organ.law=linear or remove organ.{name}: a law of large strains "
+                f"set organ.law = linear or remove organ.{name}: a law of large strains "
                 "supports only an isotropic organ without weight and the condensed "
                 "compliance"
             ),
@@ -455,5 +455,5 @@ def _law(organ: Organ, shear_Pa: float, bulk_Pa: float) -> Hyperelastic:
         f"organ.{LAW_SHAPES[organ.law][0]}",
         f"be given with organ.law = {organ.law}",
         "none",
-        "set it, or set organ.law=linear",
+        "set it, or set organ.law = linear",
     )

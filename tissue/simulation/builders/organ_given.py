@@ -145,7 +145,7 @@ class SoftMaterial:
                     "parts",
                     "name parts of the mesh",
                     got,
-                    f"use parts of the mesh, which has {has}",
+                    f"use names of its parts: {has}",
                 )
             if known in found:
                 raise InputError(
@@ -277,9 +277,9 @@ def hold_of(
             return lambda mesh: nodes_of_part(mesh, held), f"the part {held}"
         raise InputError(
             "held",
-            f"be one of {', '.join((*SIDES, *mesh.part_names))} or points",
+            f"be one of {', '.join((*SIDES, *mesh.part_names))}, or an array of points",
             f"{held!r}",
-            "use bottom",
+            "use for example 'bottom'",
         )
     nodes = _named(np.asarray(held), mesh, 1e3 * mesh.nodes_m if points_mm is None else points_mm)
     points_m = mesh.nodes_m
@@ -316,8 +316,8 @@ def _named(held: NDArray[Any], mesh: TetMesh, points_mm: Array) -> Nodes:
         raise InputError(
             "held",
             f"be a side, a part, a mask of the {count} points or indices of points",
-            f"an array of {held.dtype} and shape {held.shape}",
-            "count the indices from 0",
+            f"an array of type {held.dtype} and shape {held.shape}",
+            f"give True or False for each point, or indices from 0 to {count - 1}",
         )
     near = COINCIDE * 1e3 * float(np.ptp(mesh.nodes_m, axis=0).max())
     away, nodes = cKDTree(1e3 * mesh.nodes_m).query(points_mm[held])

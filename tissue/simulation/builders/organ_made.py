@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, by, names_of_caller, require_positive
+from meshes.base.errors import PRESENT, InputError, by, names_of_caller, require_positive
 from meshes.base.progress import Progress
 from meshes.surfaces.surface import Surface
 from meshes.tets.quality import describe
@@ -155,11 +155,12 @@ class MadeOrgan:
         if near_mm is not None:
             near = 1e-3 * np.atleast_2d(np.asarray(near_mm, dtype=np.float64))
             if near.ndim != 2 or near.shape[1] != 3 or not np.isfinite(near).all():
+                is_shaped = near.ndim == 2 and near.shape[1] == 3
                 raise InputError(
                     "near_mm",
-                    "be points of shape (k, 3)",
-                    f"shape {np.shape(near_mm)}",
-                    "give x, y, z",
+                    "be finite coordinates of shape (k, 3)",
+                    "NaN or infinity" if is_shaped else f"shape {np.shape(near_mm)}",
+                    "give x, y and z of each point",
                 )
             near = nearest_on_triangles(mesh.nodes_m, mesh.surface, near)
 
@@ -233,7 +234,9 @@ def _law_table(law: object) -> LawTable | None:
     given = dict(law) if isinstance(law, Mapping) else {"name": law}
     unknown = [key for key in given if key not in LAW_KEYS]
     if unknown:
-        raise InputError("law", "have known keys", repr(unknown[0]), f"use {', '.join(LAW_KEYS)}")
+        raise InputError(
+            "law", "have only known keys", repr(unknown[0]), f"use keys among {', '.join(LAW_KEYS)}"
+        )
     if given.get("name") is None:
         raise InputError("law", "have a name", f"{law}", "add for example 'name': 'neo-hookean'")
     given["law"] = given.pop("name")
@@ -243,8 +246,8 @@ def _law_table(law: object) -> LawTable | None:
         example = LawTable.model_fields[needed].examples
         raise InputError(
             f"law {table.law}",
-            f"state {needed}",
-            "none",
+            f"have the key {needed}",
+            PRESENT,
             f"use for example law={{'name': {table.law!r}, {needed!r}: {(example or [1.0])[0]}}}",
         )
     return None if table.law == "linear" else table

@@ -270,7 +270,7 @@ def require_touch(volume: VoxelVolume, cutter: Cutter, motion: Motion) -> None:
         "motion",
         "bring the tool to the bone",
         "a tool that never touches it",
-        f"move it to the bone {box_text(volume.bone_bounds_m)}",
+        f"move the tool to the bone, which lies {box_text(volume.bone_bounds_m)}",
     )
 
 
@@ -315,10 +315,10 @@ def _share_inside(volume: VoxelVolume, cutter: Cutter, tip_m: Array, rotation: A
 def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
     """Raise an error if the tool reaches a place where the edge of a scan cuts off the bone."""
     how = "with a hole"
-    remedy = "close it in a mesh editor"
+    remedy = "close the hole in a mesh editor"
     if is_image:
         how = "cut off by the edge of the image"
-        remedy = "take an image that holds more of the bone"
+        remedy = "use an image that contains more of the bone"
     for points in anatomy.caps_m:
         low = points.min(axis=0)
         high = points.max(axis=0)
@@ -326,8 +326,8 @@ def require_whole(anatomy: Anatomy, region: Corners, *, is_image: bool) -> None:
         if is_near and not _on_one_side(points, region):
             raise InputError(
                 "anatomy.file",
-                "enclose a solid where the tool goes",
-                f"{anatomy.name} {how} {box_text((low, high))}, for a tool that reaches "
+                "enclose a solid where the tool moves",
+                f"{anatomy.name} {how} {box_text((low, high))}, and a tool that moves "
                 f"{box_text(region)}",
                 f"{remedy}, or move the site away from this place",
             )
@@ -435,9 +435,9 @@ def require_device(device: object, kind: str = "") -> None:
         known = f" for {kind}" if kind else ""
         raise InputError(
             "device",
-            "have read and command",
+            "have the methods read and command",
             f"{type(device).__name__} without {' and '.join(missing)}{known}",
-            "add these methods; read returns a tissue.Sample",
+            "add the missing methods; read returns a tissue.Sample",
         )
 
 
@@ -463,7 +463,7 @@ def require_stated_rate(
         ) * (1.0 - 1e-6):
             raise InputError(
                 "device",
-                f"give the {limits.rate_Hz:g} samples a second that its constants state",
-                f"{stated.rate_Hz:g} from {type(held).__name__}",
+                f"have the sample rate that its constants state, {limits.rate_Hz:g} Hz",
+                f"{stated.rate_Hz:g} Hz from {type(held).__name__}",
                 remedy,
             )

@@ -89,16 +89,16 @@ def volume_of(
     low = np.maximum(region[0], bone[0])
     high = np.minimum(region[1], bone[1])
     if (low >= high).any():
-        remedy = f"move it to the bone {box_text(bone)}"
+        remedy = f"move the tool to the bone, which lies {box_text(bone)}"
         if anatomy.placement is not None:
             remedy += (
-                ". If it is in the frame of the anatomy files, transform it by "
+                ". If the motion is in the frame of the anatomy files, transform it by "
                 "placement.file_to_scene_mm, a matrix in summary.json of a run with another motion"
             )
         raise InputError(
             "motion",
             "bring the tool to the bone",
-            f"a motion whose region, with the tool and a margin, lies {box_text(region)}",
+            f"a motion that, with the tool and a margin, stays {box_text(region)}",
             remedy,
         )
     low, high = _covered(region, bone, spacing)
@@ -153,9 +153,9 @@ def solid_of(scene: Scene, motion: Motion) -> tuple[Anatomy, sdf.Shape | None]:
     if not is_procedural(parameters):
         raise InputError(
             "anatomy",
-            "be procedural to be known exactly",
+            "be procedural, because a shape from a file is not known exactly",
             f"a {scene.anatomy.kind} from a file",
-            "leave the file out",
+            "remove the file names from [anatomy]",
         )
     return anatomy_of(parameters, {}), _guide_hole(scene, motion)
 
@@ -393,8 +393,8 @@ def _site(parameters: Placed, surface: "Surface") -> "Site":
             f"be given for {parameters.file}",
             "none",
             (
-                "give anatomy.normal and a point on the surface of the bone, which "
-                f"lies {box_text(box)}, or use anatomy.kind = glenoid"
+                "set anatomy.normal, and set anatomy.centre_mm to a point on the surface of the "
+                f"bone, which lies {box_text(box)}; or use anatomy.kind = glenoid"
             ),
         )
     return place_site(surface, centre_mm=centre, normal=normal, along=along)
@@ -408,8 +408,8 @@ def _threshold(parameters: ImageAnatomy) -> float:
         require_image_name(Path(parameters.file))
         raise InputError(
             "anatomy.threshold",
-            "be given for an image",
-            f"nothing for {parameters.file}",
+            f"be given for the image {parameters.file}",
+            "nothing",
             "set the grey value above which a voxel is bone",
         )
     return parameters.threshold

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import PRESENT, InputError
 from meshes.voxels.volume import FULL
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.motion.motion import Events
@@ -42,7 +42,7 @@ class PublishingProcess(WindowProcess):
 
     process = "ros2"
     place = "must publish the run for ROS 2"
-    remedy = "fix that, or run without --ros2"
+    remedy = "Fix this problem, or run without --ros2"
     shows_tissue = False
 
     def note(self) -> str:
@@ -115,8 +115,8 @@ def require_ros2() -> None:
     if missing:
         raise InputError(
             "--ros2",
-            "have the Python packages of ROS 2",
-            f"no {missing[0]}",
+            f"find the Python package {missing[0]} of ROS 2",
+            "none",
             (
                 "source the setup.bash of an installation, such as /opt/ros/jazzy, and "
                 "run tissue with the Python of this installation"
@@ -157,9 +157,9 @@ def require_link(link: SlicerLink, scene: Scene, *, web: bool) -> None:
     if link.drives and mover is not None:
         raise InputError(
             "--slicer-drives",
-            "be left out where something else moves the tool",
-            mover,
-            "leave one of the two out",
+            f"be left out with {mover}, which also moves the tool",
+            PRESENT,
+            "remove one of the two",
         )
     try:
         socket.create_server((LOCAL, link.port)).close()
@@ -188,7 +188,7 @@ class SlicerProcess(WindowProcess):
 
     process = "slicer"
     place = "must publish the run for 3D Slicer"
-    remedy = "fix that, or run without --slicer"
+    remedy = "Fix this problem, or run without --slicer"
     request = "target"
 
     def __init__(

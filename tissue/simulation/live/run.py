@@ -10,7 +10,7 @@ from types import FrameType
 from typing import Unpack
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import PRESENT, InputError
 from tissue.haptics.device.recorded import MouseDevice
 from tissue.motion.motion import Events
 from tissue.scene.coupling import Device as StatedDevice
@@ -142,8 +142,8 @@ class LiveSettings:
         if opens_device(scene):
             raise InputError(
                 "--web",
-                "be left out with a real device, which runs without a window",
-                scene.held.kind,
+                f"be left out with the real device {scene.held.kind}, which runs without a window",
+                PRESENT,
                 "leave --web out, or set device = touch to use the mouse",
             )
 

@@ -118,7 +118,7 @@ class WindowProcess:
     process = "window"
     """Name of the entry point, in the group ``tissue.processes``, that runs the window."""
     place = "must open its window where there is a display"
-    remedy = "fix the display, or unset DISPLAY to run without a window"
+    remedy = "Fix the display, or unset DISPLAY to run without a window"
     shows_tissue = True
     """True if the process receives the changes of the tissue."""
     request = "pointer"
@@ -190,7 +190,9 @@ class WindowProcess:
             if last is not None:
                 last = last or self._last_words()
                 # The output of a library may be long, so only its end is used.
-                raise InputError(f"--live {self.place}, but {last[:200]}: {self.remedy}")
+                raise InputError(
+                    f"--live {self.place}, but {last[:200].rstrip('.')}. {self.remedy}"
+                )
         except BaseException:
             self._child.kill()
             self.end()
@@ -296,7 +298,7 @@ class PageProcess(WindowProcess):
 
     process = "page"
     place = "must serve its page"
-    remedy = REMEDY
+    remedy = f"{REMEDY[:1].upper()}{REMEDY[1:]}"
 
 
 class Page:
@@ -340,7 +342,8 @@ class Page:
             self._opened(self._process.address)
             return self._process
         raise failed or InputError(
-            f"--live must serve its page, but this machine has no OpenGL library: {REMEDY}"
+            f"--live {PageProcess.place}, but this machine has no OpenGL library. "
+            f"{PageProcess.remedy}"
         )
 
     def close(self) -> None:
@@ -360,7 +363,7 @@ def require_web() -> None:
     """
     if find_spec("aiohttp") is None:
         remedy = f"run {install_command('web')}"
-        raise InputError("--web", "have aiohttp to serve its page", "none", remedy)
+        raise InputError("--web", "find the Python package aiohttp", "none", remedy)
 
 
 def _new_folder() -> Path:

@@ -37,14 +37,14 @@ def test_a_coefficient_of_the_scene_that_applies_to_all_layers_of_a_tooth_is_not
     coarse = {"voxels.spacing_mm": 0.25, "stress": None, "duration_s": 0.002}
     changed = {"cutting.tangential_chip_N_mm2": 1000.0}
     notes = simulate(load_scene("molar", coarse | changed)).parts.notes
-    assert "cutting.tangential_chip_N_mm2 of the scene applies to all layers" in notes["cutting"]
+    assert "the scene sets cutting.tangential_chip_N_mm2 for all layers" in notes["cutting"]
     assert "enamel, dentin" in notes["cutting"]
-    assert notes["cutting"].endswith("by a table such as [cutting.enamel]")
+    assert notes["cutting"].endswith("with a table such as [cutting.enamel]")
     assert "cutting" not in simulate(load_scene("molar", coarse)).parts.notes
 
 
 def test_the_note_names_the_material_of_a_layer_that_has_no_coefficients_of_its_own():
     scene = load_scene("molar", {"cutting.tangential_chip_N_mm2": 1000.0})
     note = _replaced_note(scene, ["ligament", "bone"])["cutting"]
-    assert note.endswith("by a table such as [cutting.soft]")
+    assert note.endswith("with a table such as [cutting.soft]")
     assert _replaced_note(scene, ["dentin", "caries"]) == {}
