@@ -101,7 +101,7 @@ def spoil(**changed):
         (lambda message: "{", "be an observer file, got .*ada.json"),
         (lambda message: "[1, 2]", "be an observer file"),
         (lambda message: '{"format": "tissue run"}', "be an observer file, got .*another format"),
-        (spoil(version=2), "format 1 or older, got 2"),
+        (spoil(version=2), "must have format 1 or older, got format 2 in"),
         (spoil(mean="unknown"), "observer .*ada.json"),
         (spoil(coordinates=["ln alpha"]), "other coordinates"),
         (spoil(mean=[0.0] * 5), r"mean and covariance must have shapes .* got \(5,\)"),
