@@ -170,9 +170,10 @@ def outcome(path):
 
 
 def is_sentence(message):
-    """Return whether a refusal is one line that holds the given value or key."""
+    """Return whether a refusal is one line that holds the given value, or the key to change."""
     has_given = any(
-        part in message for part in (", got ", " is not a known key", "device must be given for ")
+        part in message
+        for part in (", got ", " is not a known key", " must be given", " must be left out")
     )
     return "\n" not in message and has_given and 20 < len(message) < 2000
 

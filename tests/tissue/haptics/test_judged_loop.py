@@ -29,7 +29,7 @@ def test_an_unstable_stiffness_is_refused_with_margin_and_the_nearest_stable_one
     sentence = str(refused.value)
     assert (
         sentence.startswith("coupling.stiffness_N_m must be below 20")
-        and "got 3000 (margin -4" in sentence
+        and "got 3000 (stability margin -4" in sentence
     )
     nearest = float(sentence.split(". Use ")[1].split(",")[0])
     assert run_of("wall", coupling__stiffness_N_m=nearest, duration_s=0.01).trace["margin"][0] > 0.0
