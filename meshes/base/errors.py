@@ -109,7 +109,7 @@ def by(numbers: Iterable[float], form: str = "g") -> str:
     return " x ".join(format(number, form) for number in numbers)
 
 
-def listed(names: Iterable[object], word: str = "and") -> str:
+def enumerated(names: Iterable[object], word: str = "and") -> str:
     """Join names as text, for example "a, b and c"."""
     *first, last = [str(name) for name in names] or [""]
     return f"{', '.join(first)} {word} {last}" if first else last

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from meshes.base.errors import InputError, listed
+from meshes.base.errors import InputError, enumerated
 from meshes.base.hints import nearest
 
 LONGEST_NUMBER = 308
@@ -196,7 +196,7 @@ def unknown_name(key: str, known: Iterable[str], got: object) -> InputError:
     word = shown(got)
     return InputError(
         key,
-        f"be one of {listed(known, 'or')}",
+        f"be one of {enumerated(known, 'or')}",
         f"{word}{nearest(word, known)}",
         "choose one of these",
     )

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from meshes.base.arrays import Array, Ints, Singles
-from meshes.base.errors import InputError, listed, require_range
+from meshes.base.errors import InputError, enumerated, require_range
 from meshes.ct.density import ASH_SHARE, ASH_SHARE_SD, DENSITY_LAWS, DensityLaw, line_law
 from meshes.images.frame import Image
 
@@ -233,7 +233,7 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
         raise InputError(
             "an internal calibration",
             "find two tissues, one of them fat or muscle",
-            f"{listed(tissues) or 'none'} in {source}",
+            f"{enumerated(tissues) or 'none'} in {source}",
             "keep the soft tissue in the image, or give a phantom's line as line:SLOPE,OFFSET",
         )
     means = np.array([regions[tissue].mean_HU for tissue in tissues])
@@ -254,7 +254,7 @@ def fit_regions(regions: dict[str, Region], *, source: str) -> Calibration:
     found = least_squares(misfit, np.zeros(4 + len(tissues)), bounds=bounds)
     squared = 2.0 * float(found.cost)
     if squared > _WORST_FIT * len(tissues):
-        seen = listed(f"{tissue} {regions[tissue].mean_HU:.0f}" for tissue in tissues)
+        seen = enumerated(f"{tissue} {regions[tissue].mean_HU:.0f}" for tissue in tissues)
         raise InputError(
             "grey values",
             "be Hounsfield units for an internal calibration",

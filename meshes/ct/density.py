@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from meshes.base.arrays import Numbers, Singles
-from meshes.base.errors import InputError, listed, require_range
+from meshes.base.errors import InputError, enumerated, require_range
 
 ASH_SHARE = 0.598
 ASH_SHARE_SD = 0.004
@@ -184,7 +184,7 @@ def line_law(slope: float, offset: float, equivalent: str = "apparent") -> Densi
     kind = {name.lower(): name for name in _TO_ASH}.get(equivalent.lower())
     if kind is None:
         raise InputError(
-            "equivalent", f"be one of {listed(_TO_ASH, 'or')}", f"{equivalent!r}", "choose one"
+            "equivalent", f"be one of {enumerated(_TO_ASH, 'or')}", f"{equivalent!r}", "choose one"
         )
     ash_slope, ash_offset, relative_sd, source = _TO_ASH[kind]
     if kind != "apparent":

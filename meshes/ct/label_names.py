@@ -9,7 +9,7 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
-from meshes.base.errors import InputError, listed, require_file
+from meshes.base.errors import InputError, enumerated, require_file
 from meshes.base.text_tables import read_toml
 from meshes.images.data import first_bytes
 from meshes.images.text_headers import header_lines
@@ -113,9 +113,9 @@ def given_names(names: str | Path) -> Mapping[int, str]:
     numbers = list(labels.values())
     whole = all(type(number) is int and 1 <= number <= MOST_LABELS for number in numbers)
     if set(table) != {"labels"} or not whole or not 0 < len(numbers) == len(set(numbers)):
-        found = listed(numbers) or "no labels"
+        found = enumerated(numbers) or "no labels"
         if len(table) > 1:
-            found = f"the keys {listed(table)}"
+            found = f"the keys {enumerated(table)}"
         raise InputError(
             "names",
             f"be one table [labels] with a different number from 1 to {MOST_LABELS} for each name",

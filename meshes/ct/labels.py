@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Flags, Numbers
-from meshes.base.errors import InputError, by, is_folder, listed
+from meshes.base.errors import InputError, by, enumerated, is_folder
 from meshes.ct.dicom_labels import Masks, dicom_masks
 from meshes.ct.label_names import (
     MOST_LABELS,
@@ -174,7 +174,7 @@ def read_labels(
             raise InputError(
                 "names",
                 f"name every label of {path.name}",
-                f"no name for {listed(unknown[:5])}",
+                f"no name for {enumerated(unknown[:5])}",
                 f"add the missing names to {names}",
             )
         labels = replace(labels, names={number: stated[number] for number in labels.names})

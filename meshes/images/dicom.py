@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from meshes.base.arrays import Numbers
-from meshes.base.errors import InputError, by, counted, listed
+from meshes.base.errors import InputError, by, counted, enumerated
 from meshes.base.file_limits import require_memory
 from meshes.images.dicom_files import (
     Frame,
@@ -131,7 +131,7 @@ def _of_one_series(
     """
     names = [(str(frame.header["SeriesInstanceUID"]), _series_number(frame)) for frame in frames]
     counts = Counter(names)
-    held = listed(
+    held = enumerated(
         f"number {name} with {counted(n, 'slice')}" for (_, name), n in sorted(counts.items())
     )
     stacks = {name for name, count in counts.items() if count > 1} or set(names)

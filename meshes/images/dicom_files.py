@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, counted, is_folder, listed
+from meshes.base.errors import InputError, counted, enumerated, is_folder
 from meshes.base.file_limits import memory_limit_bytes, require_memory
 
 Header = Mapping[str, Any]
@@ -326,7 +326,7 @@ def frames_of(files: Sequence[tuple[Path, str]], source: str) -> tuple[list[Fram
     if copies:
         notes.append(f"Left out {counted(copies, 'duplicate')} of slices of {source}.")
     if not frames:
-        held = listed(sorted(set(objects))) or "localisers"
+        held = enumerated(sorted(set(objects))) or "localisers"
         remedy = "give the folder of the CT as the image, and SEG or RTSTRUCT files as labels"
         raise InputError(
             "a DICOM folder", "contain slices of an image", f"only {held} in {source}", remedy

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Numbers, Singles
-from meshes.base.errors import InputError, by, in_brackets, listed
+from meshes.base.errors import InputError, by, enumerated, in_brackets
 
 Kind = TypeVar("Kind", bound=np.generic)
 _FARTHEST_VOXELS = 0.01
@@ -304,7 +304,7 @@ def _require_frame(stored: StoredImage, source: str) -> None:
         raise InputError(
             "the axis directions",
             "be of length 1",
-            f"the lengths {listed(f'{each:g}' for each in lengths)} in {source}",
+            f"the lengths {enumerated(f'{each:g}' for each in lengths)} in {source}",
             "fix the header",
         )
     if not abs(float(np.linalg.det(stored.directions))) >= _FLATTEST:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from meshes.base.arrays import Array, Numbers
-from meshes.base.errors import InputError, listed
+from meshes.base.errors import InputError, enumerated
 from meshes.base.text_tables import number_in
 from meshes.images.data import read_voxels, scaled
 from meshes.images.frame import StoredImage
@@ -285,7 +285,7 @@ def read_nrrd(path: Path) -> StoredImage:
         found = f"dimension {fields.get('dimension')!r} and kinds {_short(kinds)!r}"
         raise _fault(path, "file", "contain one number per voxel on three axes in space", found)
     # These keys state the scale of quantised values, which is not applied here.
-    if found := listed(key for key in _SCALED if key in fields):
+    if found := enumerated(key for key in _SCALED if key in fields):
         raise _fault(path, "a NRRD image", "contain unscaled values", f"the key {found}")
     # Lines are not skipped here, so the voxels would be read from a wrong position.
     for key in _SKIPPED_LINES:

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from meshes.base.errors import InputError, listed, require_length
+from meshes.base.errors import InputError, enumerated, require_length
 from meshes.shapes.sdf import (
     Shape,
     box,
@@ -155,7 +155,7 @@ def liver_region(mesh: TetMesh, name: str) -> Nodes:
     """
     if name not in LIVER_REGIONS:
         raise InputError(
-            "region", f"be one of {listed(LIVER_REGIONS, 'or')}", name, "use one of them"
+            "region", f"be one of {enumerated(LIVER_REGIONS, 'or')}", name, "use one of them"
         )
     direction, within_deg = LIVER_REGIONS[name]
     return nodes_facing(mesh, direction=direction, within_deg=within_deg)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Ints
-from meshes.base.errors import InputError, listed, require_file, require_positive
+from meshes.base.errors import InputError, enumerated, require_file, require_positive
 from meshes.base.tables import decoded_text, read_table
 from meshes.base.text_tables import require_distinct_columns
 from meshes.base.units import UNITS, column_of, name_of, unit_of
@@ -220,7 +220,8 @@ def read_toolpath(path: str | Path, coordinates: str) -> Toolpath:
     if suffix not in (*TABLES, *GCODE):
         raise InputError(
             "path",
-            f"be a {', '.join(TABLES)}, .mrk.json or .fcsv file, or G-code ({listed(GCODE, 'or')})",
+            f"be a {', '.join(TABLES)}, .mrk.json or .fcsv file, or a file of G-code "
+            f"({enumerated(GCODE, 'or')})",
             file,
             "rename or convert the file",
         )
@@ -264,8 +265,8 @@ def _read_table(file: Path) -> tuple[Array, Array | None, Array | None, tuple[st
     if missing := [each for each in (*_PLACE, *_AXIS[: 3 * has_axes]) if each not in column]:
         raise InputError(
             "path",
-            f"have the column{'s' * (len(missing) > 1)} {listed(missing)}",
-            f"the columns {listed(table.names[:40])} in {file}",
+            f"have the column{'s' * (len(missing) > 1)} {enumerated(missing)}",
+            f"the columns {enumerated(table.names[:40])} in {file}",
             "rename the columns, and write another unit as in x_m or X [in]",
         )
     if left := [each for each in table.names if each not in used]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, in_brackets, listed, require_vector
+from meshes.base.errors import InputError, enumerated, in_brackets, require_vector
 from meshes.surfaces.pedicles import VERTEBRA, find_pedicle
 from meshes.surfaces.site import (
     FACE_SAMPLES,
@@ -110,7 +110,10 @@ def find_site(kind: str, surface: Surface) -> FoundSite:
     if kind in VERTEBRA:
         return find_pedicle(surface, kind)
     raise InputError(
-        "site", f"be one of {listed(SITE_KINDS, 'or')}", kind, "use one of them, or give a point"
+        "site",
+        f"be one of {enumerated(SITE_KINDS, 'or')}",
+        kind,
+        "use one of them, or give a point",
     )
 
 
@@ -335,10 +338,10 @@ def _search_head(surface: Surface, kind: _Head) -> FoundSite:
     # of other parts.
     if not caps or scores[0] < 0.2 or max(cap.coverage for cap in caps) > kind.largest_coverage:
         covered = max((cap.coverage for cap in caps), default=0.0)
-        got = f"at most {covered:.0%} of a sphere"
+        got = f"a surface whose roundest part covers {covered:.0%} of a sphere"
         what = (
-            f"{kind.name}, a rounded part of 18 to 32 mm radius that covers "
-            f"{kind.zero_score_coverage:.0%} to {kind.largest_coverage:.0%} of a sphere"
+            f"{kind.name} (a rounded part with a radius of 18 to 32 mm that covers "
+            f"{kind.zero_score_coverage:.0%} to {kind.largest_coverage:.0%} of a sphere)"
         )
         raise refusal(surface, what, got)
     best = caps[0]

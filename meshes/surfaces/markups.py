@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, as_vector, counted, listed, require_file
+from meshes.base.errors import InputError, as_vector, counted, enumerated, require_file
 from meshes.base.text_tables import (
     number_or_nan,
     read_json,
@@ -103,7 +103,9 @@ def read_site(path: str | Path) -> tuple[Array, Array | None]:
         chosen = chosen or [one for one in found if one.kind == kind and len(one.labels)]
     wanted = 2 if chosen and chosen[0].kind == "Line" else 1
     if len(chosen) != 1 or len(chosen[0].points_mm) != wanted:
-        held = listed(f"a {one.kind} with {counted(len(one.points_mm), 'point')}" for one in chosen)
+        held = enumerated(
+            f"a {one.kind} with {counted(len(one.points_mm), 'point')}" for one in chosen
+        )
         required = "contain one plane, one line from the site inward, or one point"
         raise _error(required, held or "none", Path(path))
     one = chosen[0]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Ints, Triangles
-from meshes.base.errors import InputError, counted, listed, require_file
+from meshes.base.errors import InputError, counted, enumerated, require_file
 from meshes.base.isolated_parser import parse_isolated
 from meshes.base.tables import decoded_text
 from meshes.base.text_tables import number_in, whole_number_in
@@ -46,7 +46,7 @@ def read_triangles(file: Path, notes: list[str] | None = None) -> Triangles:
     if file.suffix.lower() not in SURFACE_SUFFIXES:
         raise InputError(
             "file",
-            f"end in {listed(SURFACE_SUFFIXES, 'or')}",
+            f"end in {enumerated(SURFACE_SUFFIXES, 'or')}",
             file.name,
             "convert it, or read an image volume with read_image",
         )

@@ -10,8 +10,8 @@ import numpy as np
 from meshes.base.arrays import Array, Ints, cross_products
 from meshes.base.errors import (
     InputError,
+    enumerated,
     in_brackets,
-    listed,
     require_direction,
     require_range,
     require_vector,
@@ -94,7 +94,7 @@ def nodes_of_part(mesh: TetMesh, name: str) -> Nodes:
     """
     if name not in mesh.part_names:
         raise InputError(
-            "part", f"be one of {listed(mesh.part_names, 'or')}", name, "use one of them"
+            "part", f"be one of {enumerated(mesh.part_names, 'or')}", name, "use one of them"
         )
     cells = mesh.cells[mesh.part == mesh.part_names.index(name)]
     if not len(cells):

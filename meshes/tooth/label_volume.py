@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from meshes.base.arrays import Array, Bytes, Flags
-from meshes.base.errors import InputError, listed, require_positive
+from meshes.base.errors import InputError, enumerated, require_positive
 from meshes.images.frame import Image
 from meshes.shapes.anatomy import Anatomy
 from meshes.shapes.sdf import Shape
@@ -299,7 +299,9 @@ def _layers(image: Image, labels: Mapping[int, str]) -> tuple[Bytes, list[int], 
         [np.bincount(plane.ravel(), minlength=EMPTY + 1) for plane in cropped.T], axis=0
     )
     found = [label for label in np.flatnonzero(counts).tolist() if label]
-    unknown = listed(f"{label} ({counts[label]} voxels)" for label in found if label not in labels)
+    unknown = enumerated(
+        f"{label} ({counts[label]} voxels)" for label in found if label not in labels
+    )
     if unknown:
         raise InputError(
             "labels",

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Floats, Singles
-from meshes.base.errors import InputError, listed
+from meshes.base.errors import InputError, enumerated
 from meshes.surfaces.site import Site
 from meshes.voxels.volume import FULL, VoxelVolume
 
@@ -107,14 +107,17 @@ def require_known(names: Iterable[str], argument: str) -> None:
         if name not in TOOTH_LAYERS:
             raise InputError(
                 argument,
-                f"contain only the layers {listed(TOOTH_LAYERS)}",
+                f"contain only the layers {enumerated(TOOTH_LAYERS)}",
                 name,
                 "rename this layer",
             )
     for name in ("enamel", "dentin"):
         if name not in given:
             raise InputError(
-                argument, "contain enamel and dentin", listed(given) or "neither", f"add the {name}"
+                argument,
+                "contain enamel and dentin",
+                enumerated(given) or "neither",
+                f"add the {name}",
             )
 
 

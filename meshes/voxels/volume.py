@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from meshes.base.arrays import Array, Bytes, box_of
-from meshes.base.errors import InputError, listed, require_positive, require_vector
+from meshes.base.errors import InputError, enumerated, require_positive, require_vector
 from meshes.base.placement import Placement
 
 DENSEST_KG_M3 = 2e4
@@ -119,7 +119,7 @@ class VoxelVolume:
         if layer is not None and layer not in self.layer_names:
             raise InputError(
                 "layer",
-                f"be one of {listed(self.layer_names, 'or')}",
+                f"be one of {enumerated(self.layer_names, 'or')}",
                 layer,
                 "use one of these names",
             )

@@ -22,7 +22,7 @@ from cyclopts import (
 )
 
 import tissue
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, enumerated
 from tissue.cli.calibrate import calibrate
 from tissue.cli.chart import chart
 from tissue.cli.devices import devices
@@ -253,13 +253,13 @@ def _usage(error: CycloptsError) -> str:
     match error:
         case UnknownCommandError(unused_tokens=[word, *_]):
             known = [name for name in app if not name.startswith("-")]
-            what = f"command must be one of {', '.join(known)}, got {word}{nearest(word, known)}"
+            what = f"command must be {enumerated(known, 'or')}, got {word}{nearest(word, known)}"
             command = "tissue"
         case UnknownOptionError(token=token, argument_collection=arguments):
             word = (token.keyword or token.value).split("=")[0]
             known = _options(arguments)
             hint = nearest(word, known) or _other_use(word, known)
-            what = f"option must be one of {', '.join(known)}, got {word}{hint}"
+            what = f"option must be {enumerated(known, 'or')}, got {word}{hint}"
         case MissingArgumentError(argument=argument) if argument is not None:
             name = argument.name
             what = (

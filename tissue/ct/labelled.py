@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from meshes.base.arrays import Array, box_of
-from meshes.base.errors import InputError, listed, names_of_caller
+from meshes.base.errors import InputError, enumerated, names_of_caller
 from meshes.base.progress import Progress
 from meshes.ct.extraction import cropped
 from meshes.ct.inspection import bone_label_note, inspect, soft_label_note
@@ -120,12 +120,12 @@ def _tooth(labels: Labels) -> Labels:
     for name in ("enamel", "dentin"):
         if name not in layers.values():
             # name only some labels, because a segmentation may have a hundred
-            held = listed(list(labels.names.values())[:12])
+            held = enumerated(list(labels.names.values())[:12])
             raise InputError(
                 "labels",
                 "contain the labels enamel and dentin for a tooth",
                 f"{held} in {labels.image.source}",
-                f"give the labels names such as {listed(TOOTH_LAYERS)} by --label-names FILE",
+                f"give the labels names such as {enumerated(TOOTH_LAYERS)} by --label-names FILE",
             )
     chosen = labels.only(layers.values())
     return replace(chosen, image=chosen.image.part(box_of(chosen.image.values > 0, MARGIN)))

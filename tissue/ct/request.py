@@ -94,7 +94,7 @@ class ImportRequest:
         for is_case, case, names, remedy in (
             (
                 self.labels is None,
-                "without labels",
+                "if no labels are given",
                 ("label_names", "region", "keep_clear", "parts"),
                 give_labels,
             ),
@@ -106,7 +106,7 @@ class ImportRequest:
             ),
             (self.is_tooth, "for a tooth", ("region", "parts", *of_bone), leave_out),
             (self.point_mm is None, "unless site is a point", ("normal",), give_point),
-            (self.path is None, "without a path", ("feed_mm_s",), "give --path FILE"),
+            (self.path is None, "if no path is given", ("feed_mm_s",), "give --path FILE"),
             (self.path is not None, "with a path, which is the motion", ("like",), leave_out),
             (self.is_soft, "for a soft organ", ("like", *of_bone), leave_out),
         ):

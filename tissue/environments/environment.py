@@ -15,7 +15,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array, Singles
-from meshes.base.errors import InputError, listed, require_positive, require_range
+from meshes.base.errors import InputError, enumerated, require_positive, require_range
 from meshes.voxels.volume import VoxelVolume
 from tissue.cutters.cutter import Cutter
 from tissue.materials.scene_constants import Materials
@@ -167,7 +167,7 @@ class ContactEnvironment(gymnasium.Env[Any, Singles], Motion):
             if name not in self.ranges:
                 raise InputError(
                     "options",
-                    f"have only the keys {listed(self.ranges)}",
+                    f"have only the keys {enumerated(self.ranges)}",
                     f"the key {name}",
                     f"remove the key {name}",
                 )

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from meshes.base.errors import InputError, listed
+from meshes.base.errors import InputError, enumerated
 from meshes.base.whole_file import write_columns
 from tissue.haptics.loop.critical_stiffness import critical_stiffness_N_m, in_hands, settling_hands
 from tissue.haptics.loop.stability_map import StabilityChart, StabilityMap, stability_map
@@ -49,7 +49,7 @@ def scene_stability(scene: Scene) -> StabilityMap:
             "device",
             "be given for a stability map",
             "none",
-            f"pass --set device=NAME with {listed(DEVICES, 'or')}",
+            f"pass --set device=NAME with {enumerated(DEVICES, 'or')}",
         )
     settings = loop_settings(scene)
     loop = judged_loop(settings)

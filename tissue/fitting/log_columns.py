@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, listed
+from meshes.base.errors import InputError, enumerated
 from meshes.base.text_tables import number_or_nan
 from meshes.base.units import UNITS, column_of, name_of, plain_unit, unit_of
 from tissue.fitting.log_files import CHANNELS, QUATERNION, TIPS, LogColumns
@@ -216,7 +216,7 @@ def suggested(missing: Sequence[str], names: Sequence[str]) -> str:
 
 def the_columns(names: Sequence[str]) -> str:
     """Return the names of columns as a phrase such as "the columns a and b"."""
-    return f"the {'column' if len(names) == 1 else 'columns'} {listed(names)}"
+    return f"the {'column' if len(names) == 1 else 'columns'} {enumerated(names)}"
 
 
 def _is_like(name: str, header: str) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array, Numbers
-from meshes.base.errors import DamagedFileError, InputError, is_file, listed
+from meshes.base.errors import DamagedFileError, InputError, enumerated, is_file
 from meshes.base.extras import install_command
 from meshes.base.file_limits import read_npz, require_memory
 from meshes.base.isolated_parser import Answer, parse_isolated
@@ -102,7 +102,7 @@ def read_columns(path: Path) -> LogColumns:
     require_memory(path.stat().st_size, path.name, "text or numbers")
     kind = path.suffix.lower()
     if kind not in READERS:
-        known = listed(READERS, "or")
+        known = enumerated(READERS, "or")
         raise InputError(
             "measured", f"be a file that ends in {known}", path.name, "export it as CSV"
         )

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, listed
+from meshes.base.errors import InputError, enumerated
 from tissue.fitting.marginal import Marginal, marginal
 from tissue.fitting.problem import Forward, MeasuredLoads
 from tissue.fitting.target import OFFSET_S, Target, Unpacked
@@ -265,7 +265,7 @@ def require_signs(forward: Forward, log: MeasuredLoads) -> None:
             "measured",
             "contain the loads that act on the tool, in the scene's frame",
             (
-                f"{listed(wrong)} with a sign that seems reversed, because the scene "
+                f"{enumerated(wrong)} with a sign that seems reversed, because the scene "
                 "fits the opposite sign better"
             ),
             f"reverse the sign with --column {wrong[0]}=-COLUMN, or remove the column",

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import csr_array, eye_array
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, listed
+from meshes.base.errors import InputError, enumerated
 from meshes.base.units import column_of
 from tissue.fitting.cutting import CuttingForward, forward_of
 from tissue.fitting.log_columns import parsed, quantities, the_columns
@@ -121,15 +121,15 @@ def read_table(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> St
     values, unused = quantities(found, parsed(columns, tuple(MEASURES)), MEASURES, notes)
     if unused:
         raise refuse(
-            f"have only the columns {listed(MEASURES)}, in any unit",
+            f"have only the columns {enumerated(MEASURES)}, in any unit",
             the_columns(unused[:12]),
             "rename or remove these columns",
         )
     feeds = [name for name in FEEDS if name in values]
     if len(feeds) != 1:
         raise refuse(
-            f"have exactly one column of {listed(FEEDS)}",
-            listed(feeds) or "none",
+            f"have exactly one column of {enumerated(FEEDS)}",
+            enumerated(feeds) or "none",
             "give the feed in one column",
         )
     if feeds[0] == FEEDS[0] and SPIN not in values:
@@ -144,7 +144,7 @@ def read_table(path: Path, found: LogColumns, columns: Sequence[str] = ()) -> St
         raise refuse(
             "have the column thrust_N or torque_Nm, and a scatter for every load or for no load",
             the_columns(found.names),
-            f"add the missing column, or remove {listed(SCATTERS.values())}",
+            f"add the missing column, or remove {enumerated(SCATTERS.values())}",
         )
     for name, each in values.items():
         wrong = np.flatnonzero(~(np.isfinite(each) & (each > 0.0)))

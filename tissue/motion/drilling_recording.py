@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, listed
+from meshes.base.errors import InputError, enumerated
 from meshes.base.extras import install_command
 from meshes.base.file_limits import require_memory, require_regular
 from tissue.motion.motion import first_off_unit
@@ -167,7 +167,7 @@ def _drilling(file: Any, where: PoseFile) -> DrillingRecording:
     if len(drills) != 1:
         raise where.error(
             "contain the poses of one object with drill in its name",
-            listed(names) if names else "no object",
+            enumerated(names) if names else "no object",
             "keep one such object",
         )
     notes = ["a recording of volumetric_drilling, in its world"]

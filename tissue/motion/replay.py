@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, counted, is_file, listed, names_of_caller
+from meshes.base.errors import InputError, counted, enumerated, is_file, names_of_caller
 from meshes.base.file_limits import read_npz
 from meshes.base.tables import read_table
 from meshes.base.text_tables import require_distinct_columns
@@ -190,9 +190,9 @@ def _table(where: PoseFile) -> tuple[Array, tuple[str, ...]]:
         if header is not None:
             headers[name] = header
     if missing := [name for name in measures if name not in headers]:
-        given = listed(table.names[:40])
+        given = enumerated(table.names[:40])
         noun = "column" if len(missing) == 1 else "columns"
-        raise where.error(f"have the {noun} {listed(missing)}", given, "add the missing data")
+        raise where.error(f"have the {noun} {enumerated(missing)}", given, "add the missing data")
     columns = []
     for name, header in headers.items():
         factors = UNITS[measures[name]]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, by, counted, listed, names_of_caller, require_range
+from meshes.base.errors import InputError, by, counted, enumerated, names_of_caller, require_range
 from meshes.base.file_limits import memory_limit
 from meshes.base.hints import suggests_arguments
 from meshes.shapes.anatomy import (
@@ -176,7 +176,7 @@ class Bone:
         if path.suffix.lower() not in SURFACE_SUFFIXES:
             raise InputError(
                 "file",
-                f"be a surface file that ends in {listed(SURFACE_SUFFIXES, 'or')}",
+                f"be a surface file that ends in {enumerated(SURFACE_SUFFIXES, 'or')}",
                 path.name,
                 "to read an image, use Bone.from_image",
             )

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, listed
+from meshes.base.errors import InputError, enumerated
 from meshes.base.hints import suggests_arguments
 from tissue.evaluation.calibration.answers import Answer, simulated_answers
 from tissue.evaluation.calibration.observers import (
@@ -70,7 +70,7 @@ def alike(count: int, **truth: float) -> SimulatedObservers:
     if strange := sorted(set(truth) - set(names)):
         raise InputError(
             "truth",
-            f"have only the keys {listed(names)}",
+            f"have only the keys {enumerated(names)}",
             f"the key {strange[0]}",
             "rename or remove it",
         )

@@ -8,7 +8,7 @@ from itertools import chain
 from numbers import Real
 from typing import Any
 
-from meshes.base.errors import InputError, listed
+from meshes.base.errors import InputError, enumerated
 from meshes.base.hints import nearest
 from meshes.base.text_tables import shown
 from tissue.scene.registry import CUTTERS, TABLES
@@ -52,9 +52,9 @@ def check_callable(kind: str, given: str, part: object, methods: Sequence[str] =
     if missing:
         raise InputError(
             f"{kind} {given}",
-            f"have the methods {listed(methods)}",
-            f"{part.__name__} without {listed(missing)}",
-            f"add {listed(missing)}",
+            f"have the methods {enumerated(methods)}",
+            f"{part.__name__} without {enumerated(missing)}",
+            f"add {enumerated(missing)}",
         )
 
 
@@ -65,7 +65,7 @@ def check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
         if key not in known:
             raise InputError(
                 "keys",
-                f"contain only {listed(sorted(known))}",
+                f"contain only {enumerated(sorted(known))}",
                 shown(key),
                 "choose among these keys",
             )
@@ -75,7 +75,7 @@ def check_profile(given: str, part: Any, keys: Sequence[str]) -> None:
     except TypeError as error:
         raise InputError(
             f"tool {given}",
-            f"accept the arguments {listed(sizes)}",
+            f"accept the arguments {enumerated(sizes)}",
             f"a function with other arguments ({error})",
             "rename its arguments",
         ) from None
@@ -103,17 +103,22 @@ def checked_numbers(
     if isinstance(numbers, kind):
         return asdict(numbers)
     if not isinstance(numbers, Mapping):
-        entries = listed(needed) or "names and numbers"
+        entries = enumerated(needed) or "names and numbers"
         wanted = f"be {kind.__name__} or a mapping with {entries}"
         raise InputError(of, wanted, shown(numbers), "give a dict of names and values")
     known = [field.name for field in fields(kind)]
     if strange := [each for each in numbers if each not in known]:
         given = f"the entry {shown(strange[0])}{nearest(str(strange[0]), known)}"
-        raise InputError(of, f"have only the entries {listed(known)}", given, "rename or remove it")
-    if missing := [each for each in needed if each not in numbers]:
-        lacking = listed(missing)
         raise InputError(
-            of, f"have the entries {listed(needed)}", f"no value for {lacking}", f"add {lacking}"
+            of, f"have only the entries {enumerated(known)}", given, "rename or remove it"
+        )
+    if missing := [each for each in needed if each not in numbers]:
+        lacking = enumerated(missing)
+        raise InputError(
+            of,
+            f"have the entries {enumerated(needed)}",
+            f"no value for {lacking}",
+            f"add {lacking}",
         )
     for each, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, Real):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, listed
+from meshes.base.errors import InputError, enumerated
 from meshes.base.hints import nearest
 from tissue.objects.trace import Trace
 from tissue.show.figures.figure import COMPONENTS, MAGNITUDE, field_words, plain, styled
@@ -47,7 +47,7 @@ def plot_columns(
         raise InputError(
             "ax",
             "be given for columns of one unit",
-            f"columns with the units {listed(unit or 'none' for unit in wanted)}",
+            f"columns with the units {enumerated(unit or 'none' for unit in wanted)}",
             "give columns of one unit, or leave ax out",
         )
     panels = new_panels(len(wanted)) if ax is None else np.array([ax])

@@ -6,8 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from meshes.base.errors import InputError
-from meshes.base.errors import listed as joined
+from meshes.base.errors import InputError, enumerated
 from meshes.base.file_limits import require_regular
 from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import read_toml
@@ -375,7 +374,7 @@ def _add_materials(path: Path) -> tuple[str, ...]:
         raise InputError(
             "material",
             "have only the tables cutting and soft",
-            f"{joined(found) or 'none'} in {path}",
+            f"{enumerated(found) or 'none'} in {path}",
             "use these two tables",
         )
     for table, materials in found.items():
@@ -395,7 +394,7 @@ def _require_material(path: Path, table: str, material: str, entries: dict[str, 
     """Raise an error if a material's name is in use, or a constant or source is missing."""
     where = f"{table}.{material}"
     if not re.fullmatch(NAME, material) or material in listed(table):
-        known = joined(listed(table))
+        known = enumerated(listed(table))
         raise InputError(
             table,
             "have new names of lower-case letters, digits, - and _ for its materials, other than "
@@ -405,19 +404,19 @@ def _require_material(path: Path, table: str, material: str, entries: dict[str, 
         )
     cutting = tuple(name for name in constants("cutting", "bone") if name not in LINEAR)
     needed = cutting if table == "cutting" else SOFT
-    missing = joined(each for each in needed if each not in entries)
+    missing = enumerated(each for each in needed if each not in entries)
     if missing:
         raise InputError(
             where,
-            f"have the constants {joined(needed)}",
+            f"have the constants {enumerated(needed)}",
             f"no value for {missing} in {path}",
             f"add {missing}",
         )
-    extra = joined(each for each in entries if each not in needed)
+    extra = enumerated(each for each in entries if each not in needed)
     if extra and table == "cutting":
         raise InputError(
             where,
-            f"have only the constants {joined(needed)}",
+            f"have only the constants {enumerated(needed)}",
             f"{extra} in {path}",
             f"remove {extra}",
         )

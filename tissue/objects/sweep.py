@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from meshes.base.errors import InputError, counted, listed, require_range
+from meshes.base.errors import InputError, counted, enumerated, require_range
 from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress
 from meshes.base.text_tables import shown
@@ -192,7 +192,7 @@ class Sweep:
         known = self.figure_names
         if unknown := [name for name in names if name not in known]:
             raise InputError(
-                "figures", f"be among {listed(known)}", unknown[0], "choose from these names"
+                "figures", f"be among {enumerated(known)}", unknown[0], "choose from these names"
             )
         if not names or len(self.keys) not in (1, 2):
             raise InputError(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshes.base.arrays import Array
-from meshes.base.errors import DamagedFileError, InputError, listed
+from meshes.base.errors import DamagedFileError, InputError, enumerated
 from meshes.base.file_limits import read_npz
 from meshes.base.text_tables import read_json
 from meshes.base.whole_file import package_version, require_new_file, require_version, whole_file
@@ -209,7 +209,7 @@ def shipped_file(scene: str) -> Path:
     """
     path = SHIPPED / f"{scene}.npz"
     if not path.is_file():
-        known = listed(sorted(each.stem for each in SHIPPED.glob("*.npz")))
+        known = enumerated(sorted(each.stem for each in SHIPPED.glob("*.npz")))
         raise InputError(
             "coupling.predictor_file",
             f"be given for the scene {scene}",

@@ -10,12 +10,12 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, enumerated
 from meshes.base.hints import closest, did_you_mean
 from meshes.base.text_tables import shown, unknown_name
 from tissue.materials.scene_constants import TABLES
 from tissue.scene.anatomy import Tooth
-from tissue.scene.part import LONGEST_PATH, ByKind, Idle, OneOf, entries, enumerated, kinds_of
+from tissue.scene.part import LONGEST_PATH, ByKind, Idle, OneOf, entries, kinds_of
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import OR_NONE, Scene
 from tissue.scene.tool import Probe, Tool
@@ -127,8 +127,8 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
     if kind == "missing" and not place.is_inside:
         return InputError(key, "be given", "nothing", _addition(place.names, field))
     if kind == "union_tag_not_found":
-        known = ", ".join(dict.fromkeys(each for part in _parts(field) for each in kinds_of(part)))
-        return InputError(f"{key}.kind", "be given", "nothing", f"use one of {known}")
+        known = dict.fromkeys(each for part in _parts(field) for each in kinds_of(part))
+        return InputError(f"{key}.kind", "be given", "nothing", f"use {enumerated(known, 'or')}")
     if kind == "union_tag_invalid" and isinstance(place.value, Mapping):
         choices = list(dict.fromkeys(each for part in _parts(field) for each in kinds_of(part)))
         return unknown_name(f"{key}.kind", choices, place.value.get("kind"))
@@ -143,8 +143,8 @@ def error_of(fault: ErrorDetails, table: Table, model: type[BaseModel] = Scene) 
     remedy = _corrected(key, got, kind, is_number=is_number) or _remedy(field)
     if is_number and got in NOTHING and not field.is_required():
         remedy += (
-            ", or remove the key from the scene file to use its default. If an override changes "
-            "a kind or a law, keys without effect are removed automatically"
+            ", or remove the key from the scene file to use its default. If --set changes a "
+            "kind or a law, keys that then have no effect are removed automatically"
         )
     if is_number and kind == "less_than_equal" and got == fault["input"]:
         remedy = f"use {context['le']:g} or less"
@@ -203,7 +203,7 @@ def _unknown_key(place: _Place, table: Table, model: type[BaseModel]) -> InputEr
     else:
         suggested = did_you_mean([full[-1] for full in meant])
         listed = f" {_owner(place, model)} has the keys {enumerated(known)}."
-    remedy = _of_density(names, table) or "Rename or remove it"
+    remedy = _of_density(names, table) or f"Rename or remove {place.key}"
     return InputError(f"{place.key} is not a known key{suggested}.{listed} {remedy}")
 
 
@@ -299,7 +299,7 @@ def _of_another_kind(given: _Place, meant: _Place, table: Table) -> InputError:
     own = [f"{part}.{name}" for name in closest(given.names[-1], chosen.model_fields)]
     if own and part in ("tool", "anatomy"):
         wanted = f"be left out for {where}{did_you_mean(own)}"
-        return InputError(given.key, wanted, shown(given.value), "rename or remove it")
+        return InputError(given.key, wanted, shown(given.value), f"rename or remove {given.key}")
     if part == "tool":
         family = next((base for base in (Tool, Probe) if issubclass(chosen, base)), chosen)
         alike = [each for each in others if issubclass(each, family)]
@@ -328,7 +328,7 @@ def _of_another_kind(given: _Place, meant: _Place, table: Table) -> InputError:
         remedy = f"use {part}.{chosen.drive} instead, or {remedy}"
     hint = did_you_mean([meant.key]) if given != meant else ""
     remedy = _of_density(given.names, table) or (
-        f"{remedy}, or remove it" if remedy else "remove it"
+        f"{remedy}, or remove {given.key}" if remedy else f"remove {given.key}"
     )
     wanted = f"be left out for {where}{hint}"
     return InputError(given.key, wanted, shown(given.value), remedy)

@@ -5,7 +5,7 @@ annotate keys whose allowed values come from a registry.
 """
 
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Generic, NamedTuple, TypeVar, get_args
@@ -342,11 +342,6 @@ def removal_of(keys: Collection[str]) -> str:
     names = ", ".join(sorted(keys))
     has, was = ("has", "was") if len(keys) == 1 else ("have", "were")
     return f"{names} of the scene {has} no effect after the changes and {was} removed"
-
-
-def enumerated(names: Sequence[str], word: str = "and") -> str:
-    """Return a list of names as text, with a word before the last name: "a, b and c"."""
-    return f" {word} ".join((", ".join(names[:-1]), names[-1]) if len(names) > 1 else names)
 
 
 def entries(table: Mapping[str, object], prefix: str = "") -> Iterator[tuple[str, object]]:

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, StringConstraints
 
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, enumerated
 from meshes.base.hints import suggests_arguments
 from tissue.materials.scene_constants import Materials
 from tissue.scene.anatomy import (
@@ -26,7 +26,7 @@ from tissue.scene.anatomy import (
 )
 from tissue.scene.coupling import Device, Fidelity
 from tissue.scene.organ import IncisedAnatomy, LayersAnatomy, LiverFile, Organ, SoftAnatomy
-from tissue.scene.part import READ_BACK, ByKind, FileName, OneOf, Part, Rule, enumerated, kinds_of
+from tissue.scene.part import READ_BACK, ByKind, FileName, OneOf, Part, Rule, kinds_of
 from tissue.scene.registry import ANATOMIES, CUTTERS, CUTTING_MATERIALS, MOTIONS, NEEDLES, PROBES
 from tissue.scene.tool import (
     Blade,
@@ -332,15 +332,15 @@ class Scene(Part):
             kinds = [
                 kind for part in tool_parts() if issubclass(part, wanted) for kind in kinds_of(part)
             ]
-            names = kinds[0] if len(kinds) == 1 else f"one of {', '.join(kinds)}"
+            names = enumerated(kinds, "or")
             got = self.tool.kind
-            remedy = f"choose {names}" if len(kinds) == 1 else "choose one of these"
+            remedy = f"choose {names}"
             fitting = (
                 each for each in ANATOMIES.known if isinstance(self.tool, ANATOMIES[each].tool)
             )
             if (other := next(fitting, None)) is not None:
                 remedy += f', or set anatomy.kind = "{other}" for a {got}'
-            raise InputError("tool.kind", f"be {names} with anatomy.kind = {kind}", got, remedy)
+            raise InputError("tool.kind", f"be {names} for anatomy.kind = {kind}", got, remedy)
         # The model of the wall is one spring at the lowest point of a ball.
         if kind == "wall" and self.tool.kind != "sphere-probe":
             raise InputError(

@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, enumerated
 from tissue.models.state import State, fingerprint
 from tissue.models.tissue_model import TICK_S, Response, ToolMotion
 from tissue.motion.motion import Motion
 from tissue.motion.posed import PosedTool, pose_in
 from tissue.scene.anatomy import WallAnatomy
 from tissue.scene.organ import IncisedAnatomy, LayersAnatomy
-from tissue.scene.part import enumerated
 from tissue.scene.scene import Output, Scene, without_fields
 from tissue.simulation import loop as engine
 from tissue.simulation.builders.parts import Parts, motion_of, require_no_pause

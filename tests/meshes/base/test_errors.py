@@ -2,7 +2,7 @@
 
 import pickle
 
-from meshes.base.errors import PRESENT, InputError, listed
+from meshes.base.errors import PRESENT, InputError, enumerated
 
 
 def test_the_message_of_a_flag_does_not_print_its_value():
@@ -17,6 +17,6 @@ def test_a_value_that_is_a_word_is_printed():
 
 
 def test_the_last_of_several_names_follows_a_word():
-    assert listed(["a"]) == "a"
-    assert listed(("a", "b"), "or") == "a or b"
-    assert listed(iter([1, 2, 3])) == "1, 2 and 3"
+    assert enumerated(["a"]) == "a"
+    assert enumerated(("a", "b"), "or") == "a or b"
+    assert enumerated(iter([1, 2, 3])) == "1, 2 and 3"

@@ -12,7 +12,7 @@ from time import perf_counter, sleep
 
 import numpy as np
 
-from meshes.base.errors import InputError, listed
+from meshes.base.errors import InputError, enumerated
 from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import number_in
 from meshes.base.whole_file import require_new_file
@@ -245,7 +245,7 @@ def simulated_observer(spec: str) -> tuple[SimulatedObservers, int]:
     ):
         raise InputError(
             "observer",
-            f"be simulated:SEED or simulated:GROUP:SEED with the group {listed(GROUPS, 'or')}",
+            f"be simulated:SEED or simulated:GROUP:SEED with the group {enumerated(GROUPS, 'or')}",
             spec,
             "use simulated:1",
         )

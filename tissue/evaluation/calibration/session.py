@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import logit
 from scipy.stats import binom
 
-from meshes.base.errors import InputError, counted, listed, require_range
+from meshes.base.errors import InputError, counted, enumerated, require_range
 from meshes.base.file_limits import require_regular
 from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import read_json
@@ -67,7 +67,7 @@ class Plan:
             raise InputError(
                 "plan",
                 "have whole numbers as seed, trials and numbers",
-                listed(counts),
+                enumerated(counts),
                 "write them without a decimal point",
             )
         if self.trials + self.numbers == 0:

@@ -9,7 +9,7 @@ from time import perf_counter
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, listed
+from meshes.base.errors import InputError, enumerated
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import write_rows
 from tissue.evaluation.looks import looks
@@ -137,7 +137,7 @@ def predictable(scenes: Sequence[Scene], file: Path | None = None) -> tuple[list
             raise InputError(
                 "--predictor-file",
                 "be given with only one scene",
-                f"{file} with the scenes {listed(scene.name for scene in scenes)}",
+                f"{file} with the scenes {enumerated(scene.name for scene in scenes)}",
                 "chart each scene alone",
             )
         return list(scenes), []

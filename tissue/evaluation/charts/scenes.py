@@ -5,7 +5,7 @@ from pathlib import Path
 
 from matplotlib.axes import Axes
 
-from meshes.base.errors import listed
+from meshes.base.errors import enumerated
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import write_text
 from tissue.evaluation.charts.frontier import Frontier, frontier_of, write_measured
@@ -88,7 +88,7 @@ def notes_before(names: Sequence[str]) -> list[str]:
         for kind in charted(load_scene(name)):
             if kind.device is not None and (missing := untrained(kind)):
                 notes.append(
-                    f"{name}: the chart omits {listed(missing)}, because no trained predictor "
+                    f"{name}: the chart omits {enumerated(missing)}, because no trained predictor "
                     f"was found. Train one with 'tissue train {name}'."
                 )
     return notes

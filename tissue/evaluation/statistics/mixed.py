@@ -12,7 +12,7 @@ from scipy.special import gammaln, stdtr
 from scipy.stats import f
 
 from meshes.base.arrays import Array, Ints
-from meshes.base.errors import InputError, counted, listed
+from meshes.base.errors import InputError, counted, enumerated
 from tissue.evaluation.statistics.hypothesis_test import (
     LEVEL,
     Assumption,
@@ -296,7 +296,7 @@ def regression(
     # rounding of standardised columns, whose singular values grow with the number of rows
     if np.linalg.matrix_rank(design, tol=1e-8 * len(design)) < design.shape[1]:
         raise InputError(
-            "predictors", "not repeat one another", listed(predictors), "leave one of them out"
+            "predictors", "not repeat one another", enumerated(predictors), "leave one of them out"
         )
     standard = (answers - answers.mean()) / size
     nodes, weights = np.polynomial.legendre.leggauss(NODES)

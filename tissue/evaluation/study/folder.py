@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter
 
-from meshes.base.errors import InputError, listed, require_range
+from meshes.base.errors import InputError, enumerated, require_range
 from meshes.base.file_limits import require_regular
 from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress, silent
@@ -123,7 +123,7 @@ class StudyFolder:
                     if value != getattr(plan, name)
                 }
                 other = ", ".join(
-                    f"{name} = {listed(value) if value and isinstance(value, tuple) else value}"
+                    f"{name} = {enumerated(value) if value and isinstance(value, tuple) else value}"
                     for name, value in values.items()
                 )
                 raise InputError(
@@ -259,7 +259,7 @@ class StudyFolder:
         if not rows:
             raise InputError(
                 "study",
-                f"contain trials of {listed(tasks, 'or')}",
+                f"contain trials of {enumerated(tasks, 'or')}",
                 f"none in {self.path}",
                 "run the study first",
             )

@@ -14,7 +14,7 @@ from http.client import HTTPConnection, HTTPException
 from math import exp, hypot
 from typing import Any
 
-from meshes.base.errors import InputError, listed
+from meshes.base.errors import InputError, enumerated
 from meshes.base.text_tables import read_json
 from tissue.haptics.real.adapter import HardwareSample, checked_url
 from tissue.motion.quaternion import NOTHING, UPRIGHT, Triple
@@ -218,7 +218,7 @@ def problem_of(state: ServiceState) -> str:
             "and look for it in Haply Hub"
         )
     if name not in ids:
-        required = f"name the device {listed(ids, 'or')} after #"
+        required = f"name the device {enumerated(ids, 'or')} after #"
         return str(InputError("the address of haply", required, name, f"use #{ids[0]}"))
     for entry, must, remedy in (
         (

@@ -7,7 +7,7 @@ from math import sqrt
 
 from meshes.base.errors import (
     InputError,
-    listed,
+    enumerated,
     names_of_caller,
     require_positive,
     require_range,
@@ -165,7 +165,7 @@ class NeedleTissue:
         require_range("cutting_N", self.cutting_N, 0.0, LARGEST_N, "give it in N")
         depths = [membrane.depth_m for membrane in self.membranes]
         if any(below <= above for above, below in pairwise(depths)):
-            found = listed(f"{1e3 * depth:g} mm" for depth in depths)
+            found = enumerated(f"{1e3 * depth:g} mm" for depth in depths)
             raise InputError(
                 "membranes",
                 "be listed from the surface downwards",
@@ -178,7 +178,7 @@ class NeedleTissue:
             raise InputError(
                 "membranes",
                 "have different names, none of them parenchyma",
-                listed(names),
+                enumerated(names),
                 "rename one membrane",
             )
         static = max(self.friction.static_in_N_m, self.friction.static_out_N_m)

@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
 from typing import IO
 
-from meshes.base.errors import PRESENT, InputError, listed, require_range
+from meshes.base.errors import PRESENT, InputError, enumerated, require_range
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import require_new_file, whole_file
 from tissue.show.viewer.run_scene import Choice, times_of
@@ -208,7 +208,7 @@ def _check(saved: SavedRun, choice: Choice, series: SavedFields | None) -> None:
                 argument = "hide" if kind == "layer" else kind
                 remedy = f"leave it out: this run has no {kind}"
                 if known:
-                    remedy = f"use {listed(dict.fromkeys(known), 'or')}"
+                    remedy = f"use {enumerated(dict.fromkeys(known), 'or')}"
                 raise InputError(argument, f"name a {kind} of the run", name, remedy)
     can_move = series is not None and series.displacement is not None
     most = LARGEST_SCALE if can_move else 1.0

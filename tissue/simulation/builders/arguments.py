@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from meshes.base.arrays import Array, Ints
-from meshes.base.errors import InputError, names_of_caller
+from meshes.base.errors import InputError, enumerated, names_of_caller
 from meshes.base.hints import nearest
 from meshes.base.text_tables import shown
 from meshes.surfaces.glenoid import GLENOID_LAYERS
@@ -23,7 +23,7 @@ from tissue.materials.scene_constants import Materials
 from tissue.scene.anatomy import Tooth
 from tissue.scene.load import names_file
 from tissue.scene.messages import error_of
-from tissue.scene.part import Part, entries, enumerated
+from tissue.scene.part import Part, entries
 from tissue.scene.registry import ANATOMIES
 from tissue.scene.scene import Scene
 from tissue.scene.used_constants import Used, used_constants
@@ -112,7 +112,7 @@ def given_note(
                 "materials",
                 "have tables [cutting.NAME] only for known materials and layers",
                 f"[cutting.{layer}]{nearest(layer, known)} in {name}",
-                f"use one of {', '.join(known)}",
+                f"use {enumerated(known, 'or')}",
             )
     used = {one.full: one for one in used_constants if one.full in given.given}
     for full, one in used.items():
@@ -187,7 +187,7 @@ def _require_some(given: Materials, used: Sequence[Used], *, by: str) -> None:
             "materials",
             f"contain a constant that the {by} uses",
             f"only {enumerated(list(given.given))} in {Path(given.file).name}",
-            f"use one of {', '.join(names)}; or leave materials out",
+            f"use {enumerated(names, 'or')}; or remove materials",
         )
 
 

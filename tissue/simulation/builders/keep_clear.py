@@ -141,5 +141,5 @@ def _unknown_structure(name: str, anatomy: CutAnatomy, shapes: Mapping[str, Shap
         remedy = "set anatomy.pulp_file"
     named = f"structures of the anatomy ({', '.join(known)})"
     if not known:
-        named = "structures of the anatomy, which has none"
+        named = "left out, because the anatomy has no structures"
     return InputError("keep_clear.names", f"be {named}", shown(name), remedy)

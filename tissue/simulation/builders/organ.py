@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError, names_of_caller
+from meshes.base.errors import InputError, enumerated, names_of_caller
 from meshes.base.placement import Placement
 from meshes.base.progress import Progress
 from meshes.base.text_tables import shown
@@ -211,7 +211,7 @@ def material_of(
                 "organ.viscous",
                 f"be false for {organ.material}",
                 "true",
-                f"set it to false: the sources of {organ.material} state no relaxation",
+                f"set it to false: the sources of {organ.material} give no relaxation constants",
             )
         relaxation = [(cited[f"prony_g{k}"].value, cited[f"prony_tau{k}_s"].value) for k in numbers]
         notes["relaxation"] = (
@@ -342,7 +342,7 @@ def _held(anatomy: Held, mesh: TetMesh) -> tuple[Nodes, str]:
     if anatomy.held == "part":
         if anatomy.held_part is None:
             raise InputError(
-                "held_part", "be given", "nothing", f"use one of {', '.join(mesh.part_names)}"
+                "held_part", "be given", "nothing", f"use {enumerated(mesh.part_names, 'or')}"
             )
         numbered = f"part {anatomy.held_part}"
         name = numbered if numbered in mesh.part_names else anatomy.held_part
