@@ -334,7 +334,7 @@ class Scene(Part):
             ]
             names = enumerated(kinds, "or")
             got = self.tool.kind
-            remedy = f"choose {names}"
+            remedy = f"choose {names}" if len(kinds) == 1 else "choose one of these"
             fitting = (
                 each for each in ANATOMIES.known if isinstance(self.tool, ANATOMIES[each].tool)
             )

@@ -45,19 +45,19 @@ from tissue.scene.load import scene_names
         (
             ("ruin", "milling"),
             (
-                "command must be one of run, import, scenes, view, report, fit, sweep, compare, "
-                "stability, devices, serve, calibrate, assess, train, chart, study, schema, got ruin "
+                "command must be run, import, scenes, view, report, fit, sweep, compare, "
+                "stability, devices, serve, calibrate, assess, train, chart, study or schema, got ruin "
                 "(did you mean run?). See `tissue --help`"
             ),
         ),
         (
             ("run", "milling", "--overwite"),
-            "option must be one of --out, --format, --pictures, --no-pictures, --seed, "
+            "option must be --out, --format, --pictures, --no-pictures, --seed, "
             "--duration-s, --set, "
             "--fidelity, --compute, --cores, --max-memory-GB, --overwrite, --allow-unstable, "
             "--band, --workers, "
             "--scheduler, --each-run, --live, --web, --slicer, --slicer-port, "
-            "--slicer-drives, --ros2, "
+            "--slicer-drives or --ros2, "
             "got --overwite (did you mean --overwrite?). See "
             "`tissue run --help`",
         ),

@@ -113,11 +113,14 @@ def test_a_misspelt_key_of_another_tool_names_the_keys_of_the_tool():
     message = refusal("incision", "tool.lenght_mm")
     assert message == (
         "tool.lenght_mm is not a known key. The table [tool] of kind blade has the keys kind, "
-        "width_mm, thickness_mm and edge_deg. Rename or remove it"
+        "width_mm, thickness_mm and edge_deg. Rename or remove tool.lenght_mm"
     )
     assert "(did you mean width_mm?)" in refusal("incision", "tool.widht_mm")
     message = refusal("incision", "tool.length_mm")
-    assert "Use a key of a blade (width_mm, thickness_mm or edge_deg), or remove it" in message
+    assert (
+        "Use a key of a blade (width_mm, thickness_mm or edge_deg), or remove tool.length_mm"
+        in message
+    )
     assert "Set tool.kind = cylinder-probe" in refusal("liver-press", "tool.length_mm")
 
 

@@ -35,8 +35,8 @@ from tissue.scene.load import scene_text
         ("motion.kind=paht", "motion.kind", "paht"),
         ("motion.kind=thrust", "motion.thrust_N", "must be given. Add it"),
         ("motion.kind=replay", "motion.file", "must be given. Add it"),
-        ("motion={}", "motion.kind", "must be given. Use one of path, thrust, replay"),
-        ("tool={}", "tool.kind", "must be given. Use one of ball-burr,"),
+        ("motion={}", "motion.kind", "must be given. Use path, thrust or replay"),
+        ("tool={}", "tool.kind", "must be given. Use ball-burr,"),
         ("motion.points_mm=[[0,0,1]]", "motion.points_mm", "[[0, 0, 1]]"),
         ("motion.points_mm=7", "motion.points_mm", "7"),
         ("motion.points_mm=[[0,0],[1,1,1]]", "motion.points_mm", "[[0, 0], [1, 1, 1]]"),
@@ -141,7 +141,7 @@ def test_voxels_that_do_not_fit_the_memory_are_refused_with_what_would_fit(
         ),
         (
             "palpation",
-            "anatomy.file must be left out for a slab. Set anatomy.kind = liver, or remove it",
+            "anatomy.file must be left out for a slab. Set anatomy.kind = liver, or remove anatomy.file",
         ),
     ],
 )

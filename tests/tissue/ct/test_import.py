@@ -233,7 +233,7 @@ def test_without_a_site_the_scene_asks_for_one(reference, tmp_path):
     [
         (
             {"region": "humerus"},
-            "region must be left out without labels. Give the labels by",
+            "region must be left out if no labels are given. Give the labels by",
         ),
         ({"site": "glenoyd"}, r"did you mean glenoid\?"),
         (
@@ -317,10 +317,10 @@ def test_pictures_are_drawn(reference, tmp_path):
     [
         (
             ["--part", "tumour=40"],
-            "--part must be left out without labels. Give the labels by",
+            "--part must be left out if no labels are given. Give the labels by",
         ),
         (["--part", "tumour"], "--part must be NAME=KPA, got tumour"),
-        (["--feed-mm-s", "3"], "--feed-mm-s must be left out without a path. Give --path"),
+        (["--feed-mm-s", "3"], "--feed-mm-s must be left out if no path is given. Give --path"),
         (["--crop", "5,0,0,1,2,3"], "--crop must have a first corner below the second corner"),
         (["--crop", "5,0,0"], "--crop must be 6 numbers"),
         (

@@ -122,6 +122,6 @@ def test_a_needle_from_outside_pierces(added):
     assert blunt.trace["model_force_z_N"].max() > 1.5 * sharp.trace["model_force_z_N"].max() > 0.5
     with pytest.raises(
         InputError,
-        match=r"^tool.kind must be one of needle, blunt with anatomy.kind = layers, got sphere-pr",
+        match=r"^tool.kind must be needle or blunt for anatomy.kind = layers, got sphere-pr",
     ):
         load_scene("needle", {"tool.kind": "sphere-probe"})

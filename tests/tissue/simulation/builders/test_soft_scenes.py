@@ -239,7 +239,7 @@ def test_a_liver_from_a_file_is_placed_held_and_pressed(anatomy):
         (
             "liver-press",
             {"anatomy.held": "part"},
-            "anatomy.held_part must be given. Use one of body",
+            "anatomy.held_part must be given. Use body",
         ),
         (
             "palpation",
