@@ -140,7 +140,7 @@ def one(task: tuple[str, int, str, bool]) -> tuple[list[tuple[str, bool]], bool,
         what = "constant at an end" if sides[name] else "constant"
         held.append((f"{what} {name}", low <= true[name] <= high))
     for each in result.combinations:
-        value = each.of(np.array(list(true.values())))
+        value = each.exact_value(np.array(list(true.values())))
         held.append(("combinations", bool(each.low <= value <= each.high)))
     return held, posterior.converged, took
 

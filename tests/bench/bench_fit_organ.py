@@ -107,7 +107,7 @@ def one(task: tuple[str, int, float]) -> dict:
         state = "constant" if name in result.determined else "other"
         held.append((f"{state} {name}", bool(low <= true[at] <= high)))
     held += [
-        ("combinations", bool(each.low <= each.of(true) <= each.high))
+        ("combinations", bool(each.low <= each.exact_value(true) <= each.high))
         for each in result.combinations
     ]
     return {

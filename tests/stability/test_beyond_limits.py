@@ -75,7 +75,7 @@ def test_a_ball_deep_in_a_linear_organ_is_an_event():
         "motion.feed_mm_s": 50,
     }
     events = simulate(load_scene("palpation", changes)).events
-    assert any("linear elasticity" in event for _, event in events)
+    assert any("force of the linear law" in event for _, event in events)
 
 
 def test_cells_of_a_tooth_that_are_too_empty_are_left_out():

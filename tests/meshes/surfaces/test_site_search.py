@@ -116,7 +116,7 @@ def test_vertebrae_of_a_ct(label, whole):
     vertices, faces = image_triangles(smooth, threshold=0.45)
     surface = surface_from_triangles(vertices, faces, scale_mm=1.0, cut_off=True)
     if not whole:
-        with pytest.raises(InputError, match="as where it is cut off"):
+        with pytest.raises(InputError, match="as in a bone that is cut off"):
             find_site("vertebra", surface)
         return
     found = find_site("vertebra:left", surface)

@@ -103,7 +103,7 @@ def test_the_report_finds_what_was_planted(study):
     assert papers.startswith("Results that agree with the paper: ")
     first = text[text.index('<section id="found"') : text.index('<section id="overview"')]
     assert first.count('class="verdict"') == 5
-    assert "noticed in 100 % with koopman (median travel over people: 0.50 mm)" in text
+    assert "noticed in 100 % with koopman (median travel over people: 0.50 mm" in text
     assert "±" not in text
     assert text.index('<section id="found"') < text.index('<section id="overview"')
     assert "T1: energy is left out, as its force_error differs from that of penalty in no" in text

@@ -219,7 +219,7 @@ def test_intervals_contain_the_error_of_the_mesh(fine_log):
     posterior = fit.fitted.posterior
     table = fit.to_pandas()
     print(table[["p05", "p50", "p95"]], fit.fitted.sentences)
-    assert any("which the intervals contain" in each for each in fit.fitted.sentences)
+    assert any("intervals contain this change" in each for each in fit.fitted.sentences)
     for name, value in DEEP.items():
         assert table.loc[name, "p05"] < value < table.loc[name, "p95"]
     alone = np.sqrt(posterior.covariance[0, 0])

@@ -177,7 +177,7 @@ def test_a_package_that_cannot_be_imported_stops_nothing_but_its_part(tmp_path):
     sentence = (
         "renderer mine of the package broken-parts 0.1.0 cannot be used "
         "(ModuleNotFoundError: No module named "
-        "'nothing_of_that_name'): update or uninstall that package"
+        "'nothing_of_that_name'). Update or uninstall that package"
     )
     short = ("--no-pictures", "--duration-s", "0.02", "--set", "device=touch")
     code, output, error = tissue("run", "wall", *short, folders=[tmp_path], cwd=tmp_path)
