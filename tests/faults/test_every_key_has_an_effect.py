@@ -227,7 +227,7 @@ EXEMPT = {
 BY_DATA = {
     "tool.spin_rpm": "motion.feed_mm_s must keep the chips of each tooth thinner than",
     "anatomy.site": "anatomy.site must not be caries for a tooth without a lesion, got caries. ",
-    "keep_clear.names": "keep_clear.names must be structures of the anatomy, which has none, got ",
+    "keep_clear.names": "keep_clear.names must be left out, because the anatomy has no structures",
     "materials": "materials must contain a constant that the scene uses, got only ",
 }
 """Refusals of keys that only the contents of files leave without effect.
