@@ -5,6 +5,7 @@ The status is reported truly whatever ended the run, and two processes never wri
 
 import json
 import os
+import signal
 import subprocess
 import sys
 
@@ -17,7 +18,7 @@ from tissue.show.viewer.view import _about
 from tissue.simulation.run_folder import RunFolder, SavedRun
 from tissue.simulation.simulate import RunObserver
 from tissue.system.owned_folder import OutputLock, identity, is_alive
-from tissue.system.stopping import Terminated
+from tissue.system.stopping import Terminated, terminated_as_exception
 
 QUICK = {"voxels.spacing_mm": 0.8, "duration_s": 0.02}
 HOLD = "import sys; from pathlib import Path; from tissue.system.owned_folder import OutputLock; \
@@ -119,6 +120,27 @@ def test_a_run_is_running_complete_failed_or_interrupted(tmp_path):
     saved.scene = saved.scene.model_copy(update={"anatomy": anatomy})
     assert _about(saved).startswith(about) and "The tissue is not shown" in _about(saved)
     assert not (out / ".lock").exists()
+
+
+@pytest.mark.parametrize("stopped", [True, False])
+def test_an_error_after_a_stop_signal_is_an_interruption(stopped, tmp_path):
+    """Native code converts the exception of a signal, as VTK does during its import."""
+    out = tmp_path / "run"
+    folder = RunFolder(out, overwrite=False)
+    folder.begin(load_scene("milling"))
+    with (
+        pytest.raises(Terminated if stopped else ImportError),
+        terminated_as_exception(),
+        folder.ending(),
+    ):
+        try:
+            if stopped:
+                signal.raise_signal(signal.SIGTERM)
+        finally:
+            raise ImportError("no module vtk")
+    expected = ("interrupted", "SIGTERM") if stopped else ("failed", "ImportError: no module vtk")
+    saved = SavedRun(out)
+    assert (saved.status, saved.problem) == expected
 
 
 @pytest.mark.parametrize(

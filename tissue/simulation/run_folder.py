@@ -29,7 +29,7 @@ from tissue.system.owned_folder import (
     listed_files,
     require_folder,
 )
-from tissue.system.stopping import Terminated
+from tissue.system.stopping import Terminated, signal_behind
 
 Summary = dict[str, Any]
 """Contents of ``summary.json``; see docs/files.md."""
@@ -203,7 +203,7 @@ class RunFolder:
             # process.
             with suppress(OSError):
                 self.close_tables()
-                self._stopped(error)
+                self._stopped(signal_behind(error))
             self._owned.release()
             raise
 

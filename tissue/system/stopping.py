@@ -48,18 +48,30 @@ class Terminated(KeyboardInterrupt):
         self.exit_code = 128 + number
 
 
+_received: list[KeyboardInterrupt] = []
+"""Exceptions of the signals that arrived in the present blocks of `terminated_as_exception`."""
+
+
+def signal_behind(error: BaseException) -> BaseException:
+    """Return the exception of the stop signal that led to an error, or the error itself.
+
+    Native code, for example in pydantic and VTK, may convert the exception of a signal to another
+    error. Any error after a stop signal or Ctrl-C is therefore attributed to the signal.
+    """
+    return _received[-1] if _received and isinstance(error, Exception) else error
+
+
 @contextmanager
 def terminated_as_exception() -> Iterator[None]:
     """Raise `Terminated` in the main thread if a signal in `STOPS` arrives in the ``with`` block.
 
-    In threads other than the main thread, the context manager has no effect. Native code, for
-    example in pydantic, may convert the exception to another error. After a stop signal or Ctrl-C,
-    any error that leaves the block is therefore replaced by the exception for the signal. Python
-    drops exceptions in some callbacks, such as those of weak references, and the package named by
+    In threads other than the main thread, the context manager has no effect. An error that leaves
+    the block is replaced by the exception of the signal, see `signal_behind`. Python drops
+    exceptions in some callbacks, such as those of weak references, and the package named by
     `CATCHES_ALL` catches all exceptions. If an exception is lost, the signal is sent again shortly
     afterwards.
     """
-    received: list[KeyboardInterrupt] = []
+    earlier = len(_received)
 
     def stop(number: int, frame: FrameType | None) -> None:
         if _is_caught(frame):
@@ -68,8 +80,8 @@ def terminated_as_exception() -> Iterator[None]:
         # a shell that ends sends SIGHUP again, which would interrupt the cleanup
         if number == getattr(signal, "SIGHUP", None):
             signal.signal(number, signal.SIG_IGN)
-        received.append(KeyboardInterrupt() if number == signal.SIGINT else Terminated(number))
-        raise received[-1]
+        _received.append(KeyboardInterrupt() if number == signal.SIGINT else Terminated(number))
+        raise _received[-1]
 
     def dropped(what: "sys.UnraisableHookArgs") -> None:
         """Send a signal again if its exception was dropped by Python."""
@@ -90,10 +102,11 @@ def terminated_as_exception() -> Iterator[None]:
         except KeyboardInterrupt:
             raise
         except Exception as error:
-            if received:
-                raise received[-1] from error
+            if (cause := signal_behind(error)) is not error:
+                raise cause from error
             raise
         finally:
+            del _received[earlier:]
             sys.unraisablehook = report
 
 
