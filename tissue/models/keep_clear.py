@@ -165,10 +165,10 @@ class KeepClear:
         coarse = fine
         if any(len(each.faces) > MANY_TRIANGLES for each in structures.values()):
             coarse = _medial(profile, *COARSE_M)
-        self._structures = list[_Search]()
+        self._searches = list[_Search]()
         for each in structures.values():
             deep = coarse if len(each.faces) > MANY_TRIANGLES else fine
-            self._structures.append(_Search(outline, [fine, deep], each, box_m))
+            self._searches.append(_Search(outline, [fine, deep], each, box_m))
 
     def measure(self, tool: ToolMotion, *, placed: bool = False) -> None:
         """Measure the distances from all structures at a pose of the tool.
@@ -176,7 +176,7 @@ class KeepClear:
         Set `placed` to True for the pose before the first tick. This pose counts neither as a tick
         nor as a breach.
         """
-        for number, search in enumerate(self._structures):
+        for number, search in enumerate(self._searches):
             distance_m = search(tool)
             self.measures[number] = 1e3 * distance_m
             if self._follows and not placed:

@@ -10,9 +10,18 @@ from tissue.scene.anatomy import WallAnatomy
 from tissue.scene.names import DEVICES, HANDS, PERCEPTIONS, PREDICTORS, RENDERERS
 from tissue.scene.part import FileName, OneOf, Part, Rule, Vector
 
-__all__ = ["Coupling", "Device", "Fidelity", "Hardware", "WallAnatomy"]
+__all__ = [
+    "SMALLEST_MOTION_SCALE",
+    "Coupling",
+    "Device",
+    "Fidelity",
+    "Hardware",
+    "WallAnatomy",
+]
 
 Button = Annotated[int, Field(ge=0, le=31)]
+SMALLEST_MOTION_SCALE = 0.01
+"""Lower limit of `Coupling.motion_scale`."""
 
 
 class Hardware(Part):
@@ -82,7 +91,7 @@ class Coupling(Part):
     users can best distinguish stiffnesses, with forces between the friction and the force limit of
     the device.
     """
-    motion_scale: float = Field(1.0, ge=0.01, le=100)
+    motion_scale: float = Field(1.0, ge=SMALLEST_MOTION_SCALE, le=100)
     """Tool displacement [m] for each metre of device displacement, measured from the start of the
     motion. Angles are not scaled.
     """

@@ -15,6 +15,7 @@ from tissue.haptics.hand_motion import HandMotion
 from tissue.models.tissue_model import TICK_S
 from tissue.motion.motion import Events, Motion, frame_along
 from tissue.scene.anatomy import Bone, MolarAnatomy, Tooth
+from tissue.scene.coupling import SMALLEST_MOTION_SCALE
 from tissue.scene.organ import LayersAnatomy
 from tissue.scene.scene import Scene
 from tissue.scene.tool import PathMotion, ReplayMotion, ThrustMotion, Tool
@@ -44,8 +45,6 @@ STEADY_SCALE = 0.2
 
 The value was chosen by judgement.
 """
-SMALLEST_SCALE = 0.01
-"""Smallest motion scale that a scene may have, see `Coupling.motion_scale`."""
 RISING_S = 0.1
 """Last part of a run [s] in which a maximum of the temperature counts as still rising.
 
@@ -242,7 +241,7 @@ def path_note(scene: Scene, parts: Parts, apart_mm: dict[str, float] | None) -> 
     if is_far:
         note += _force_scale_note(scene, apart_mm["largest"], radius_mm)
     scale = scene.motion_scale
-    steadier = max(STEADY_SCALE * scale, SMALLEST_SCALE)
+    steadier = max(STEADY_SCALE * scale, SMALLEST_MOTION_SCALE)
     if steadier < scale:
         note += (
             f". With a smaller coupling.motion_scale, such as {steadier:g} instead of {scale:g}, "

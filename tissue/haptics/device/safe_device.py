@@ -113,7 +113,7 @@ class SafeDevice:
         self._holder = device if isinstance(device, SafeDevice) else None
         self.device: Device = device.device if isinstance(device, SafeDevice) else device
         self.in_process = bool(getattr(self.device, "in_process", False))
-        self._states = self.device if isinstance(self.device, ReportsPlayedForce) else None
+        self._reporter = self.device if isinstance(self.device, ReportsPlayedForce) else None
         self.entered = False
         self.released = False
         self.slow_reads = 0
@@ -153,7 +153,7 @@ class SafeDevice:
             found.append(
                 f"the device's limit of the force rate reduced the force in {counted(held, 'tick')}"
             )
-        stated = self._states.happened() if self._states is not None else []
+        stated = self._reporter.happened() if self._reporter is not None else []
         return stated + [(self._time_s, what) for what in found]
 
     def __enter__(self) -> Self:
@@ -237,7 +237,7 @@ class SafeDevice:
                 with suppress(Exception):
                     self.device.command(np.zeros(3), np.zeros(3))
                 raise self._lost
-        return (force, torque) if self._states is None else self._states.played
+        return (force, torque) if self._reporter is None else self._reporter.played
 
     def stop(self, reason: BaseException) -> None:
         """Make the next call of `read` raise ``reason``; the force is then ramped to zero."""

@@ -36,7 +36,7 @@ from kernels.proxy_descent import DescentSettings
 from kernels.proxy_forces import MEMBERS
 from kernels.voxmap import CELL, SURFACE, Field
 from meshes.base.arrays import Array
-from meshes.base.errors import InputError
+from meshes.base.errors import InputError, in_brackets
 from tissue.cutters.cutter import Cutter
 from tissue.models.bone.bricks import BrickStore
 
@@ -329,7 +329,8 @@ class Proxy:
             raise InputError(
                 "position_m",
                 "place the tool outside all obstacles",
-                f"{position_m} m, about {1e3 * out_m:.3g} mm deep in an obstacle",
+                f"{in_brackets(position_m, '.4g')} m, about {1e3 * out_m:.3g} mm deep in an "
+                "obstacle",
                 "start farther away",
             )
         return self.result

@@ -169,21 +169,26 @@ class HeatGrid:
         share = []
         for edges, places in zip(self.edges_m, points_m.T, strict=True):
             centres = 0.5 * (edges[1:] + edges[:-1])
-            cell = np.clip(np.searchsorted(centres, places) - 1, 0, max(len(centres) - 2, 0))
-            after = np.minimum(cell + 1, len(centres) - 1)
-            gap = np.maximum(centres[after] - centres[cell], 1e-30)
-            part = np.clip((places - centres[cell]) / gap, 0.0, 1.0)
-            first.append((cell, after))
+            last = len(centres) - 1
+            # The integer part is the cell before a point. Outside the centres, it is an end cell.
+            place = np.interp(places, centres, np.arange(last + 1))
+            cell = place.astype(np.intp)
+            part = place - cell
+            first.append((cell, np.minimum(cell + 1, last)))
             share.append((1.0 - part, part))
-        rows = np.arange(len(points_m))
-        weights = sparse.csr_array((len(points_m), self.filled.size))
+        columns = []
+        weights = []
         for corner in range(8):
             ends = (corner >> 2, (corner >> 1) & 1, corner & 1)
             at = [pair[end] for pair, end in zip(first, ends, strict=True)]
-            part = share[0][ends[0]] * share[1][ends[1]] * share[2][ends[2]]
-            columns = np.ravel_multi_index(at, self.filled.shape)
-            weights += sparse.csr_array((part, (rows, columns)), weights.shape)
-        return weights
+            columns.append(np.ravel_multi_index(at, self.filled.shape))
+            weights.append(share[0][ends[0]] * share[1][ends[1]] * share[2][ends[2]])
+        rows = np.tile(np.arange(len(points_m)), 8)
+        # Weights of the same cell and point are added.
+        return sparse.csr_array(
+            (np.concatenate(weights), (rows, np.concatenate(columns))),
+            shape=(len(points_m), self.filled.size),
+        )
 
     def cells_at(self, points_m: Array) -> Ints:
         """Return the flat indices of the cells that hold points [m], shape (n, 3).

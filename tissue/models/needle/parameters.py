@@ -256,11 +256,11 @@ def needle_tissue(
         )
     # A user may give one of two constants that must fit each other.
     origins = {name: constants.origin("needle", "liver", name) for name in liver}
-    keys = {
+    labels = {
         name: f"{name} ({'built-in value' if origin == 'cited' else origin})"
         for name, origin in origins.items()
     }
-    with names_of_caller(keys if constants.given else {}):
+    with names_of_caller(labels if constants.given else {}):
         friction = ShaftFriction(
             sliding_in_N_m=liver["sliding_in_N_m"],
             sliding_out_N_m=liver["sliding_out_N_m"],

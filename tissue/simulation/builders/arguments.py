@@ -88,7 +88,7 @@ def stated(model: type[Table], values: Mapping[str, object], *, prefix: str = ""
 def given_note(
     given: Materials, used_constants: Sequence[Used], *, layers: Sequence[str], by: str
 ) -> dict[str, str]:
-    """Return the note ``materials``, which lists the given constants that `rests_on` contains.
+    """Return the note ``materials``, which lists the given constants that are used.
 
     `used_constants` lists the constants that a scene or another object uses; `by` names this object
     in the note.

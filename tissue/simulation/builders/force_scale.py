@@ -21,7 +21,7 @@ from tissue.scene.coupling import WallAnatomy
 from tissue.scene.organ import SoftAnatomy
 from tissue.scene.part import is_file_key
 from tissue.scene.registry import ANATOMIES
-from tissue.scene.scene import Scene
+from tissue.scene.scene import Scene, without_fields
 from tissue.scene.tool import Blade, Needle, Probe, ThrustMotion, Tool
 from tissue.simulation.builders import organ_scene
 from tissue.simulation.builders.cutting import VoxelBone, cutter_of
@@ -340,9 +340,8 @@ def insertion_force(scene: Scene) -> ExpectedForce:
     """Return the largest force on a needle or a blade along the scripted motion."""
     is_needle = isinstance(scene.tool, Needle)
     build = organ_scene.pierced if is_needle else organ_scene.incised
-    without_frames = scene.anatomy.model_copy(update={"interval_ms": 0.0})
     motion = motion_of(scene)
-    parts = build(scene.model_copy(update={"anatomy": without_frames}), motion, report=silent)
+    parts = build(without_fields(scene), motion, report=silent)
     return ExpectedForce(_largest(motion, parts.tissue, FINE_POSES if is_needle else POSES))
 
 
