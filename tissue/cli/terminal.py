@@ -83,6 +83,4 @@ def left_out(where: str, remedy: str, **flags: object) -> None:
     """
     for name, value in flags.items():
         if value is not None and value is not False and value != ():
-            given = ", ".join(map(str, value)) if isinstance(value, tuple) else value
-            got = PRESENT if value is True else given
-            raise InputError(f"--{name.replace('_', '-')}", f"be left out {where}", got, remedy)
+            raise InputError(f"--{name.replace('_', '-')}", f"be left out {where}", PRESENT, remedy)

@@ -36,6 +36,7 @@ def train(
     overwrite
         Replace an existing file.
     """
+    from meshes.base.errors import counted
     from meshes.base.whole_file import require_new_file
     from tissue.scene.load import load_scene, parse_overrides
     from tissue.scene.registry import PREDICTORS
@@ -59,8 +60,7 @@ def train(
         advice += f" --set coupling.predictor_file={path}"
     lines = [
         f"{len(facts['delays'])} delays, {facts['samples']} samples",
-        f"error on {len(checked['held_out'])} held-out "
-        f"run{'s' * (len(checked['held_out']) > 1)} in % of the force, "
+        f"error on {counted(len(checked['held_out']), 'held-out run')} in % of the force, "
         f"{', '.join(map(str, checked['horizons_ms']))} ms ahead:",
         *(
             f"{kind:>18}  " + "  ".join(f"{100.0 * e:6.2f}" for e in errors)

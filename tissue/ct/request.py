@@ -15,6 +15,7 @@ import numpy as np
 
 from meshes.base.arrays import Array
 from meshes.base.errors import (
+    PRESENT,
     InputError,
     as_vector,
     in_brackets,
@@ -141,10 +142,8 @@ class ImportRequest:
         """Raise an error if an option is given in a case in which it has no effect."""
         unset = {each.name: each.default for each in fields(self)} | {"parts": {}}
         for name in names:
-            value = getattr(self, name)
-            if value != unset[name]:
-                shown = ", ".join(value) if name in ("keep_clear", "parts") else value
-                raise InputError(name, f"be left out {case}", shown, remedy)
+            if getattr(self, name) != unset[name]:
+                raise InputError(name, f"be left out {case}", PRESENT, remedy)
 
     def _require_points(self) -> None:
         """Check the points of the request and their coordinate system.
@@ -164,7 +163,10 @@ class ImportRequest:
                     )
         if self.coordinates not in TO_LPS:
             raise InputError(
-                "coordinates", "be LPS or RAS", self.coordinates, "write it in capital letters"
+                "coordinates",
+                "be LPS or RAS",
+                self.coordinates,
+                "use one of these two, in capital letters",
             )
         # markups files contain their own frame
         path_in_numbers = self.path is not None and self.path.suffix.lower() not in MARKUPS

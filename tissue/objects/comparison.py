@@ -7,7 +7,7 @@ from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from meshes.base.errors import InputError, counted
+from meshes.base.errors import InputError, counted, enumerated
 from meshes.base.hints import suggests_arguments
 from meshes.base.text_tables import unknown_name
 from meshes.base.whole_file import write_text
@@ -91,7 +91,12 @@ class Comparison:
         self.scene_differences = {
             key: values for key, values in differences.items() if key not in DESCRIBING
         }
-        self.notes = [*_notes(self.runs, self.figures), *self._leave_out_events()]
+        self.notes = list(_notes(self.runs, self.figures))
+        if left_out := self._leave_out_events():
+            self.notes.append(
+                f"the number of events leaves out events of {enumerated(left_out)}, which not all "
+                "runs compute"
+            )
         self._legend = legend
 
     def rows(self) -> tuple[list[str], list[tuple[str, list[float | None]]]]:
@@ -190,8 +195,8 @@ class Comparison:
         cuts = all(isinstance(run.scene.tool, Tool) for run in self.runs.values())
         return overlay(curves, over=over, about_axis=cuts)
 
-    def _leave_out_events(self) -> Iterator[str]:
-        """Subtract events of parts that not all runs compute, and yield a note on them."""
+    def _leave_out_events(self) -> list[str]:
+        """Subtract the events of parts that not all runs compute, and return these parts."""
         uncommon = uncommon_parts(run.scene for run in self.runs.values())
         left_out = set[str]()
         for name, run in self.runs.items():
@@ -203,9 +208,7 @@ class Comparison:
                 left_out.update(parts)
                 if parts:
                     self.figures[name]["events"] -= 1
-        if left_out:
-            named = " and ".join(sorted(left_out))
-            yield f"the number of events leaves out events of {named}, which not all runs compute"
+        return sorted(left_out)
 
     def _labels(self) -> list[str]:
         """Return one text for each run, for the legend of the plot.

@@ -190,18 +190,22 @@ def times_of(times_s: ArrayLike, count: int) -> Array:
     Raises
     ------
     InputError
-        If there are fewer than two times, their number differs from the number of poses, or they do
-        not increase.
+        If there are fewer than two times, their number differs from the number of poses, or they
+        are not finite or do not increase.
     """
     times = np.asarray(times_s, dtype=np.float64)
-    is_whole = times.shape == (count,) and count >= 2 and np.isfinite(times).all()
-    if not is_whole or (np.diff(times) <= 0.0).any():
+    problem = ""
+    if times.shape != (count,) or count < 2:
+        problem = f"times of shape {times.shape} for {count} poses"
+    elif not np.isfinite(times).all():
+        problem = "times that are not finite"
+    elif (np.diff(times) <= 0.0).any():
+        problem = "times that do not increase"
+    if problem:
         raise InputError(
             "times_s",
             "be increasing times, one for each of at least two poses",
-            "times that do not increase"
-            if is_whole
-            else f"times of shape {times.shape} for {count} poses",
+            problem,
             "compute poses and times with feed_along",
         )
     return times

@@ -36,13 +36,13 @@ from tissue.objects.loop_settings import (
     checked_tool,
     extent,
     judged_device,
-    leave_out,
     made_from_of,
     region,
     start_above,
     tissue_of,
 )
 from tissue.objects.organ import Organ
+from tissue.objects.part_checks import leave_out
 from tissue.objects.press import organ_around
 from tissue.objects.simulate import TickRow
 from tissue.objects.tools import PressingTool
@@ -131,9 +131,10 @@ class Loop:
             the scene's path, perpendicular to the tool's axis; default 2. The deepest point of the
             path limits the depth of the prepared tissue. For an organ or a scene, tissue is
             prepared only once, at the start.
-        longest_s, keep_clear
+        longest_s
             Time for which rows of the trace are allocated [s]. With a device, the loop stops when
             all rows are used. Without a device, the newest rows then replace the oldest rows.
+        keep_clear
             Structures that a cutter must not touch, as for `tissue.Bone.cut`.
         step_ms
             Duration of a step without a device [ms], 1 to 1000. In a step of several ticks, the
@@ -203,13 +204,12 @@ class Loop:
                 )
             given = {"tool": tool, "start_mm": start_mm, "axis": axis}
             leave_out(given | options, "with a scene")
-            is_cut = isinstance(tissue.tool, Tool)
+            case = "with a scene"
             remedy = "name the structures in the table [keep_clear] of the scene"
-            leave_out(
-                {"keep_clear": keep_clear},
-                "with a scene" if is_cut else f"for a {tissue.tool.kind}",
-                remedy=remedy if is_cut else OWN_DISTANCES,
-            )
+            if not isinstance(tissue.tool, Tool):
+                case = f"for a {tissue.tool.kind}"
+                remedy = OWN_DISTANCES
+            leave_out({"keep_clear": keep_clear}, case, remedy=remedy)
             made_from = scene_arguments(tissue)
             parts, prepared = posed_parts(tissue, reach_m=reach_m, cores=cores)
             self.notes = parts.notes

@@ -284,13 +284,6 @@ def extent(
     return round(longest / TICK_S), round(ticks), 1e-3 * checked_mm
 
 
-def leave_out(given: Mapping[str, object], when: str, *, remedy: str = "remove it") -> None:
-    """Raise an error if an argument is given that would have no effect."""
-    for name, value in given.items():
-        if value is not None:
-            raise InputError(name, f"be left out {when}", repr(value)[:60], remedy)
-
-
 def checked_tool(
     tissue: Bone | Organ, tool: Cutter | PressingTool | None, keep_clear: Structures | None
 ) -> Cutter | PressingTool:

@@ -1,4 +1,4 @@
-"""Checks of the classes and functions that users register as parts of scenes."""
+"""Checks of arguments, and of classes and functions that users register as parts of scenes."""
 
 import inspect
 import re
@@ -8,13 +8,20 @@ from itertools import chain
 from numbers import Real
 from typing import Any
 
-from meshes.base.errors import InputError, enumerated
+from meshes.base.errors import PRESENT, InputError, enumerated
 from meshes.base.hints import nearest
 from meshes.base.text_tables import shown
 from tissue.scene.registry import CUTTERS, TABLES
 
 NAME = "[a-z0-9][a-z0-9_-]*"
 """Pattern of the name under which a part, such as a tool or a device, can be registered."""
+
+
+def leave_out(given: Mapping[str, object], when: str, *, remedy: str = "remove it") -> None:
+    """Raise an error if an argument is given that would have no effect."""
+    for name, value in given.items():
+        if value is not None:
+            raise InputError(name, f"be left out {when}", PRESENT, remedy)
 
 
 def check_name(kind: str, given: object, *, argument: bool = False) -> None:

@@ -17,6 +17,7 @@ from meshes.base.extras import install_command
 from meshes.base.hints import suggests_arguments
 from meshes.base.progress import Progress
 from tissue.objects.html import run_html, run_line
+from tissue.objects.part_checks import leave_out
 from tissue.objects.trace import Trace
 from tissue.simulation import run as engine
 from tissue.simulation.bone_surface import HALF
@@ -501,14 +502,11 @@ def report(
         "deviation_limit_mm": deviation_limit_mm,
         "overshoot_limit_mm": overshoot_limit_mm,
     }
-    given = {name: value for name, value in limits.items() if value is not None}
-    if against is not None:
+    if against is None:
+        leave_out(limits, "without a reference run", remedy="give against, or remove this argument")
+    else:
+        given = {name: value for name, value in limits.items() if value is not None}
         found = assessed_section(assessed_run(run), assessed_run(against), **given)
-    elif given:
-        # The module takes long to import, and most reports do not need it.
-        from tissue.objects.loop_settings import leave_out
-
-        leave_out(given, "without a reference run", remedy="give against, or remove this argument")
     if isinstance(run, Run):
         if out is None:
             if run.path is None:

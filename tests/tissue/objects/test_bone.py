@@ -231,6 +231,10 @@ def test_a_feed_holds_to_the_end():
             lambda b: b.cut(BURR, [[0, 0, 0], [0, 0, 1]], [1, 1]),
             "times_s must be increasing times, .* got times that do not increase",
         ),
+        (
+            lambda b: b.cut(BURR, [[0, 0, 0], [0, 0, 1]], [0, np.nan]),
+            "times_s must be increasing times, .* got times that are not finite",
+        ),
         (lambda b: b.cut(BURR, np.zeros((2, 7)), [0, 1]), "contain quaternions .* of length 1"),
         (lambda b: b.cut(BURR, np.ones((2, 4, 4)), [0, 1]), "0, 0, 0, 1 in the last row"),
         (lambda b: b.cut(BURR, [np.diag([2, 2, 2, 1])] * 2, [0, 1]), "rotations without scale"),

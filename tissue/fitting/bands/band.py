@@ -148,14 +148,15 @@ def require_band(
     if workers is not None:
         # more processes than any machine has cores: a typing error
         require_range("workers", workers, 1, 4096, "use one for each core")
-    is_rerun = bool(why_not_linear(scene)) or each_run
-    if each_run and why_not_linear(scene):
+    is_always_rerun = bool(why_not_linear(scene))
+    if each_run and is_always_rerun:
         raise InputError(
             "each_run",
             "be left out for a scene whose samples are always separate runs",
             PRESENT,
             "remove it",
         )
+    is_rerun = is_always_rerun or each_run
     if workers is not None and scheduler is not None and is_rerun:
         raise InputError("workers", "be left out with a scheduler", PRESENT, "remove it")
     for name, value in (("workers", workers), ("scheduler", scheduler)):
