@@ -34,8 +34,8 @@ from tissue.simulation.findings import TOLERANCE_MM, thrust_depth_mm
 from tissue.simulation.run_folder import Summary
 from tissue.simulation.trace import Table
 
-NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[+-]\d+)?")
-"""Number without sign in a sentence about a run."""
+NUMBER = re.compile(r"(?:(?<![\w)\]])-)?\d+(?:\.\d+)?(?:e[+-]\d+)?")
+"""Number in a sentence about a run, with its sign. A hyphen after a word is not a sign."""
 GAP_S = 0.15
 """Longest time [s] between two exceedances of a limit that count as one.
 

@@ -60,7 +60,7 @@ def assessment_lines(found: Assessment) -> list[str]:
         limits_line(found),
         *_structure_lines(found),
         *(f"limit exceeded: {each.sentence}" for each in found.breaches[:MOST_BREACHES]),
-        *([f"{counted(more, 'more interval')} over a limit"] if more > 0 else []),
+        *([f"{counted(more, 'more interval')} beyond a limit"] if more > 0 else []),
         *(f"only in the trainee's run, at {at:.3f} s: {what}" for at, what in found.events),
         *(f"only in the reference, at {at:.3f} s: {what}" for at, what in found.missing),
         *([] if found.breaches or found.breached else ["no limit was exceeded"]),
@@ -99,8 +99,8 @@ def _structure_lines(found: Assessment) -> list[str]:
 
 
 def _mistakes(found: Assessment) -> str:
-    """Return the number of intervals over a limit, and the breached structures, in words."""
-    limits = f"{counted(len(found.breaches), 'interval')} over a limit"
+    """Return the number of intervals beyond a limit, and the breached structures, in words."""
+    limits = f"{counted(len(found.breaches), 'interval')} beyond a limit"
     return f"{limits}, {' and '.join(found.breached)} breached" if found.breached else limits
 
 

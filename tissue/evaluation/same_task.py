@@ -43,12 +43,13 @@ change the force on the tool. All other constants of the tissue and the tool mus
 
 EVENTS_OF = {
     "heat": ("K warmer than at the start", "the thermal dose of bone passes"),
-    "stress": ("stress", "hang on nothing", "held as its root"),
+    "stress": ("stress", "are cut loose and count as debris", "held as its root"),
     "keep_clear": ("came closer than", "is to be kept clear of", " mm deep, "),
 }
 """Phrases of the events of each part of a scene that may be left out, keyed by the scene key.
 
-Runs without the part cannot have these events.
+Runs without the part cannot have these events. `tests/tissue/evaluation/test_assessment.py` checks
+that the tissue models report each phrase.
 """
 
 
@@ -161,7 +162,7 @@ def scene_notes(trainee: Scene | None, reference: Scene | None) -> Iterator[str]
         return
     # Another name may stand for another exercise on the same tissue, although it is no physics.
     if trainee.name != reference.name:
-        yield f"the scenes have other names: trainee {trainee.name}, reference {reference.name}"
+        yield f"the scenes have different names: trainee {trainee.name}, reference {reference.name}"
     for key, mine, theirs in _differences(trainee, reference):
         part = key.partition(".")[0]
         if part not in FREE and part != "materials" and (part not in TASK or key in MAY_DIFFER):

@@ -1,16 +1,20 @@
 """A trainee's run held against a reference: alignment by place, breaches in time, and a picture."""
 
+import ast
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from meshes.base.errors import InputError
+from tissue import models
 from tissue.evaluation import assessment_files, ranking
 from tissue.evaluation.assessment import NoSharedContactError, assess
 from tissue.evaluation.assessment_files import assessed_section, assessment_lines
 from tissue.evaluation.ranking import rank, ranking_lines, write_ranking
+from tissue.evaluation.same_task import EVENTS_OF
 from tissue.evaluation.statistics.metrics import aligned_rows, deviation_mm, followed_ticks
 from tissue.scene.load import load_scene
 from tissue.simulation.run_folder import SavedRun
@@ -219,7 +223,7 @@ def test_the_name_of_the_scene_may_differ(tmp_path):
     trainee = of_scene(saved(tmp_path / "t", reach(1.0), scene="deep"), name="deep")
     reference = of_scene(saved(tmp_path / "r", reach(1.0)))
     (note,) = assess(trainee, reference).notes
-    assert note == "the scenes have other names: trainee deep, reference milling"
+    assert note == "the scenes have different names: trainee deep, reference milling"
     # without the scene of a run, only the name is known
     trainee.scene = None
     with pytest.raises(InputError, match="got scene = deep in the run and block in the reference"):
@@ -235,6 +239,22 @@ def test_events_of_heat_are_compared_only_if_both_runs_compute_it(tmp_path):
     assert assess(reference, trainee).events == ((0.6, "the pulp is exposed"),)
     cold = of_scene(trainee, heat=True)
     assert assess(cold, reference).missing == tuple(events)
+
+
+@pytest.fixture(scope="module")
+def notices():
+    """Source of every event sentence that the tissue models report."""
+    return [
+        ast.unparse(node.args[0])
+        for file in Path(models.__file__).parent.rglob("*.py")
+        for node in ast.walk(ast.parse(file.read_text("utf-8")))
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("notices.append")
+    ]
+
+
+@pytest.mark.parametrize("phrase", [each for phrases in EVENTS_OF.values() for each in phrases])
+def test_each_phrase_of_a_part_is_in_an_event_of_the_models(notices, phrase):
+    assert any(phrase in notice for notice in notices)
 
 
 def near(run, distance_mm):
@@ -526,6 +546,10 @@ def test_a_ranking_names_the_limits_and_the_trainees_over_a_limit(tmp_path, monk
         run.summary["notes"] = {"path": "not finished: the tip reached a depth of 0.5 mm"}
     (note,) = rank(people, reference, loaded.get).notes
     assert note.endswith("is not finished: the tip reached a depth of 0.5 mm")
+    for height_mm, run in enumerate(loaded.values()):
+        run.summary["notes"] = {"path": f"not finished: it ends at z = {height_mm - 4}.5 mm"}
+    (note,) = rank(people, reference, loaded.get).notes
+    assert note.endswith("it ends at z = -4.5 to -2.5 mm")
     assert not any(line.startswith("hint") for line in lines)
     charts = []
     monkeypatch.setattr(ranking, "save", lambda chart, path: charts.append(chart))

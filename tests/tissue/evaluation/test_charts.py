@@ -151,7 +151,8 @@ def test_a_finished_chart_is_not_measured_again_and_a_fidelity_chooses_from_it(b
     wanted = changed(block, {"fidelity": {"force_error": 1.01 * SAFETY * coarse.force_error}})
     chosen, message = with_fidelity(wanted)
     assert chosen.fidelity is None and chosen.voxels.spacing_mm in (0.2, 0.4)
-    assert "the cheapest of 2 settings" in message
+    assert "the cheapest setting that meets force_error" in message
+    assert ", of 2 measured settings: " in message
     run = tissue.simulate(wanted.model_copy(update={"duration_s": 0.01}))
     assert run.parts.notes["fidelity"] and run.scene.fidelity is None
 

@@ -194,7 +194,7 @@ def test_a_study_that_has_hardly_begun_is_reported(tmp_path):
     folder.write(Trial(key, 1, tuple(planted(key, np.random.default_rng(0))), 1.0))
     sections = {each.name: each for each in sections_of(folder)}
     overview = " ".join(sections["overview"].sentences)
-    assert "There is no trial of intermediate, expert yet" in overview
+    assert "There is no trial of intermediate or expert yet" in overview
     assert "could not be tested" in " ".join(sections["tests"].sentences)
     assert "force" in sections and "case-needle" not in sections
 

@@ -219,7 +219,8 @@ def with_fidelity(scene: Scene, *, report: Progress = silent) -> tuple[Scene, st
     rank = "the cheapest" if wanted.force_error is not None else "the most accurate"
     names = "; ".join(each.name for each in found.settings)
     sentence = (
-        f"{setting.name} is {rank} of {len(found.points)} settings that meets {_asked(wanted)}: "
+        f"{setting.name} is {rank} setting that meets {_asked(wanted)}, "
+        f"of {len(found.points)} measured settings: "
         f"force error of {100.0 * point.force_error:.2g} % over ticks and "
         f"{100.0 * point.error_50_ms:.2g} % over 50 ms, against "
         f"{reference_words(scene, found.gap)}; tick of {point.median_us:.0f} µs, 99 % of ticks "

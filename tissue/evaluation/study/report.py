@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from meshes.base.errors import InputError, counted
+from meshes.base.errors import InputError, counted, enumerated
 from meshes.base.progress import Progress, silent
 from meshes.base.whole_file import package_version, write_text
 from tissue.evaluation.charts.settings import code_sha256
@@ -180,7 +180,8 @@ def _overview(folder: StudyFolder) -> Section:
         sentences.append(f"Chosen after results of earlier studies were known: {' '.join(after)}")
     if empty:
         sentences.append(
-            f"There is no trial of {', '.join(empty)} yet: the figures hold for the other groups."
+            f"There is no trial of {enumerated(empty, 'or')} yet: the figures hold for the "
+            "other groups."
         )
     for what, names in failures_of(kept).items():
         sentences.append(f"{len(names)} failed, {what} ({names[0]}{', ...' * (len(names) > 1)}).")

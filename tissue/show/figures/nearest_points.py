@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from meshes.base.arrays import Array, Floats
-from meshes.voxels.mesh_sampling import triangle_distance
+from meshes.voxels.mesh_sampling import surface_distance
 from tissue.cutters.body import medial_axis
 from tissue.simulation.run import Run
 
@@ -57,10 +57,10 @@ def closest(run: Run) -> Closest | None:
     pose = Rotation.from_quat(run.trace.quaternions()[row]), run.trace.vectors("tool", "mm")[row]
 
     structure = clear.structures[name]
+    distance_m = surface_distance(structure.vertices_m, structure.faces)
 
     def distance_mm(points_mm: Array) -> Floats:
-        points_m = 1e-3 * points_mm
-        return 1e3 * triangle_distance(structure.vertices_m, structure.faces, points_m)
+        return 1e3 * distance_m(1e-3 * points_mm)
 
     # The tool is the union of the balls on its medial axis. The distance from the structure is the
     # smallest distance of these balls, whether tool and structure overlap or not.

@@ -58,7 +58,8 @@ def test_insertion_of_an_oblique_needle_shows_the_force_along_its_axis(tmp_path,
     assert ("inserted, largest", f"{run.trace['insertion_mm'].max():.3g} mm") in run_rows(
         run.summary
     )
-    assert panels[0].lines[0].get_xdata().max() == pytest.approx(travel_mm.max(), abs=0.2)
+    # measured: 3e-5 mm, the travel of the first tick in contact
+    assert panels[0].lines[0].get_xdata().max() == pytest.approx(travel_mm.max(), abs=1e-3)
 
 
 def test_needle_whose_path_is_not_along_its_axis_is_noted_and_drawn():
